@@ -1,0 +1,43 @@
+"""Probabilistic synchronization of functional maps: point answers, posterior draws and their limits.
+
+One way through: make or load a :class:`SyncProblem`, :func:`solve` or :func:`sample` it, compare the answer with the
+bounds. Submodules are imported when first used, so that ``import fmsync`` stays quick.
+"""
+
+import importlib
+
+__version__ = "0.1.0"
+
+_HOME = {  # public name -> the room it lives in
+    "Basis": "shape",
+    "Estimate": "estimators",
+    "LangevinPrior": "problem",
+    "Shape": "shape",
+    "SyncProblem": "problem",
+    "expected_rms_error": "bounds",
+    "functional_map": "functional_map",
+    "functional_map_from_descriptors": "functional_map",
+    "laplace_beltrami": "shape",
+    "methods": "estimators",
+    "point_map": "functional_map",
+    "relative_error_bound": "bounds",
+    "solve": "estimators",
+}
+_ROOMS = {"bounds", "diagnostics", "estimators", "functional_map", "oracle", "problem", "samplers", "shape", "so"}
+_ROOMS |= {"uncertainty", "viz"}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str):
+    if name in _ROOMS:
+        return importlib.import_module(f"fmsync.{name}")
+    if name in _HOME:
+        value = getattr(importlib.import_module(f"fmsync.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'fmsync' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted({*globals(), *_HOME, *_ROOMS})
