@@ -1,0 +1,333 @@
+"""Turnable scenes of shapes that stay alive in a static page, and a shaded still where there is no OpenGL."""
+
+import base64
+import functools
+import html
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from fmsync.viz.figures import PALETTE, image_tag
+
+_MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
+_PIXELS = 1200  # width of the still
+_VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
+_AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
+_AXES[:, 0] /= np.linalg.norm(_AXES[:, 0])
+_AXES[:, 1] = np.cross(_VIEW, _AXES[:, 0])
+_TAN = np.tan(np.pi / 12)  # half of 30 degrees, the angle of view that vtk.js always takes
+_GREY = to_rgb("#b9c4cf")
+_NO_GL = "Still picture: OpenGL is missing here. For the turnable scene: apt-get install libegl1 libgl1"
+
+# VTK aborts the whole process when it finds no OpenGL, so another process has to try first
+_PROBE = """
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLRenderer
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
+import trame_vtk
+w = vtkRenderWindow(); w.SetOffScreenRendering(1); w.SetSize(8, 8); w.AddRenderer(vtkOpenGLRenderer()); w.Render()
+raise SystemExit(0 if w.SupportsOpenGL() else 1)
+"""
+
+
+@dataclass(frozen=True, repr=False)
+class Scene:
+    """A drawn scene: a still for print, and the vtk.js data of the one that turns.
+
+    Parameters
+    ----------
+    png
+        The still, PNG bytes.
+    data
+        The scene as a zipped vtk.js file, or None where only the still could be drawn.
+    alt
+        What the scene shows, for those who cannot see it.
+    rows, columns, titles
+        The grid of panels and the title of each.
+    colour_bar
+        HTML of the colour bar, or an empty string.
+    """
+
+    png: bytes
+    data: bytes | None
+    alt: str
+    rows: int
+    columns: int
+    titles: tuple[str, ...]
+    colour_bar: str = ""
+
+    def __repr__(self) -> str:
+        return f"<Scene: {self.alt}>"
+
+    def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
+        return {
+            "image/png": base64.b64encode(self.png).decode(),
+            "text/html": self._html(),
+            "text/plain": repr(self),
+        }
+
+    def _html(self) -> str:
+        """The built book holds one viewer for all its scenes; elsewhere (JupyterLab) each brings its own."""
+        width = int.from_bytes(self.png[16:20], "big")  # of the PNG header
+        height = int.from_bytes(self.png[20:24], "big")
+        still = image_tag(self.png, self.alt, 720)
+        moving = ""
+        if self.data is not None and os.environ.get("FMSYNC_SHARED_VIEWER"):
+            moving = f'<script type="text/plain">{base64.b64encode(self.data).decode()}</script>'
+        elif self.data is not None:
+            from trame_vtk.tools.vtksz2html import write_html
+
+            page = io.StringIO()
+            write_html(self.data, page)
+            moving = (
+                f'<iframe title="{html.escape(self.alt)}" loading="lazy" srcdoc="{html.escape(page.getvalue())}" '
+                'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe>'
+            )
+        grid = f"display:grid;grid-template:repeat({self.rows},1fr)/repeat({self.columns},1fr)"
+        titles = "".join(f"<span>{html.escape(t)}</span>" for t in self.titles)
+        note = "" if self.data is not None else f'<figcaption class="fm-note">{_NO_GL}</figcaption>'
+        return (
+            f'<figure class="fm-scene" style="margin:0"><div class="fm-stage" '
+            f'style="position:relative;background:white;color:black;aspect-ratio:{width}/{height}">{still}{moving}'
+            f'<div class="fm-titles" style="position:absolute;inset:0;pointer-events:none;text-align:center;{grid}">'
+            f"{titles}</div></div>{self.colour_bar}{note}</figure>"
+        )
+
+
+def scene(
+    meshes: Sequence,
+    scalars: Sequence[ArrayLike] | None = None,
+    titles: Sequence[str] | None = None,
+    *,
+    alt: str,
+    cmap: str = "viridis",
+    clim: tuple[float, float] | None = None,
+    label: str = "",
+    points: Sequence[ArrayLike] | None = None,
+    flat: bool = False,
+    up: str = "z",
+    columns: int = 4,
+) -> Scene:
+    """Shapes side by side at equal scale, upright; turning one turns them all.
+
+    Parameters
+    ----------
+    meshes
+        K objects with ``vertices`` (V, 3) and ``faces`` (F, 3), e.g. :class:`fmsync.Shape`, in one common unit. Shown
+        with at most 10,000 vertices a scene; every shown vertex takes the colour of the nearest given vertex.
+    scalars
+        K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
+    titles
+        K strings; by default the ``name`` of each mesh.
+    alt
+        What the scene shows, in one or two sentences.
+    cmap, clim, label
+        Colour map, limits shared by all shapes (by default the range of all scalars), and the label of the colour bar.
+    points
+        K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
+    flat
+        Light evenly, so that a colour means the same everywhere: for uncertainties.
+    up
+        Axis of ``vertices`` that points up: "y" or "z".
+    columns
+        Shapes in a row.
+
+    Raises
+    ------
+    ValueError
+        An empty or ragged argument, naming which.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from types import SimpleNamespace
+    >>> tetrahedron = SimpleNamespace(vertices=np.eye(4)[:, :3], faces=[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    >>> scene([tetrahedron], [[0, 1, 2, 3]], ["tetrahedron"], alt="A tetrahedron.")
+    <Scene: A tetrahedron.>
+    """
+    count = len(meshes)
+    if not count or not alt.strip():
+        raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
+    if up not in ("y", "z"):
+        raise ValueError(f"up is {up!r}: give 'y' or 'z'")
+    for k, mesh in enumerate(meshes):
+        if mesh.faces is None:
+            raise ValueError(f"meshes[{k}] is a point cloud: only shapes with faces can be drawn")
+    titles = [getattr(m, "name", "") for m in meshes] if titles is None else list(titles)
+    for name, values in (("scalars", scalars), ("titles", titles), ("points", points)):
+        if values is not None and len(values) != count:
+            raise ValueError(f"{name} has {len(values)} entries for {count} meshes: give one each")
+    colours, colour_bar = _colours(meshes, scalars, cmap, clim, label)
+    marks = [np.empty(0, int)] * count if points is None else [np.asarray(p, int) for p in points]
+    panels = [_panel(m, c, p, up, _MAX_VERTICES // count) for m, c, p in zip(meshes, colours, marks)]
+
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ _AXES).T
+    aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6))  # of one panel
+    # every vertex inside its panel, and room for the title
+    distance = 1.1 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
+    size = (_PIXELS, round(_PIXELS / columns / aspect) * rows)
+
+    draw = _draw_vtk if can_render() else _draw_still
+    png, data = draw(panels, rows, columns, size, distance, flat)
+    return Scene(png, data, alt, rows, columns, tuple(titles), colour_bar)
+
+
+def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
+    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map.
+
+    Examples
+    --------
+    >>> colours_from_coordinates([[0, 0, 0], [2, 4, 8]])
+    array([[0.1, 0.1, 0.1],
+           [1. , 1. , 1. ]])
+    """
+    vertices = np.asarray(vertices, dtype=float)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return 0.1 + 0.9 * (vertices - low) / np.where(high > low, high - low, 1)
+
+
+@functools.cache
+def can_render() -> bool:
+    """Whether VTK finds OpenGL here; tried once, in another process, because VTK aborts without it."""
+    _choose_egl()
+    return subprocess.run([sys.executable, "-c", _PROBE], capture_output=True).returncode == 0
+
+
+def _choose_egl() -> None:
+    if sys.platform == "linux":  # EGL needs no display; VTK reads this when it is first imported
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+
+
+def _colours(meshes, scalars, cmap, clim, label):
+    """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
+    if scalars is None:
+        return [np.tile(_GREY, (len(m.vertices), 1)) for m in meshes], ""
+    scalars = [np.asarray(s, dtype=float) for s in scalars]
+    for k, (m, s) in enumerate(zip(meshes, scalars)):
+        if s.shape not in ((len(m.vertices),), (len(m.vertices), 3)):
+            raise ValueError(f"scalars[{k}] has shape {s.shape}: give (V,) or (V, 3) with V = {len(m.vertices)}")
+    values = [s.ravel() for s in scalars if s.ndim == 1]
+    if not values:
+        return [np.clip(s, 0, 1) for s in scalars], ""
+    if clim is None:
+        clim = (min(v.min() for v in values), max(v.max() for v in values))
+    norm, table = Normalize(*clim, clip=True), mpl.colormaps[cmap]
+    colours = [table(norm(s))[:, :3] if s.ndim == 1 else np.clip(s, 0, 1) for s in scalars]
+    stops = ",".join(mpl.colors.to_hex(table(t)) for t in np.linspace(0, 1, 12))
+    bar = f'<span style="flex:1;height:.7em;background:linear-gradient(90deg,{stops})"></span>'
+    ends = [f"{c:.3g}".replace("-", "−") for c in clim]
+    caption = f'<div style="text-align:center">{html.escape(label)}</div>' if label else ""
+    row = f'<div style="display:flex;gap:.6em;align-items:center">{ends[0]}{bar}{ends[1]}</div>'
+    return colours, f'<figcaption class="fm-bar">{row}{caption}</figcaption>'
+
+
+def _panel(mesh, colours, marks, up, limit):
+    """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
+    given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
+    if up == "y":
+        given = given[:, [0, 2, 1]] * np.float32([1, -1, 1])
+    given = given - (given.max(axis=0) + given.min(axis=0)) / 2
+    if len(given) <= limit:
+        return given, faces, colours, given[marks]
+    _choose_egl()
+    import pyvista as pv
+
+    shown = pv.PolyData.from_regular_faces(given, faces).decimate(1 - limit / len(given))
+    vertices = np.asarray(shown.points, dtype=np.float32)
+    _, nearest = cKDTree(given).query(vertices)
+    return vertices, shown.regular_faces, colours[nearest], given[marks]
+
+
+def _draw_vtk(panels, rows, columns, size, distance, flat):
+    import pyvista as pv
+
+    plotter = pv.Plotter(shape=(rows, columns), window_size=size, off_screen=True, border=False)
+    plotter.set_background("white", all_renderers=True)
+    light = {"lighting": False} if flat else {"ambient": 0.25, "diffuse": 0.85, "smooth_shading": True}
+    for k, (vertices, faces, colours, marks) in enumerate(panels):
+        plotter.subplot(k // columns, k % columns)
+        mesh = pv.PolyData.from_regular_faces(vertices, faces)
+        mesh["colour"] = np.round(255 * colours).astype(np.uint8)
+        plotter.add_mesh(mesh, scalars="colour", rgb=True, **light)
+        for j, mark in enumerate(marks):
+            ball = pv.Sphere(radius=0.01 * distance, center=mark, theta_resolution=14, phi_resolution=10)
+            plotter.add_mesh(ball, color=PALETTE[j % len(PALETTE)], smooth_shading=True)
+    plotter.link_views()
+    camera = plotter.camera
+    camera.position, camera.focal_point, camera.up = distance * _VIEW, (0, 0, 0), (0, 0, 1)
+    camera.reset_clipping_range()
+    png = io.BytesIO()
+    plotter.screenshot(png)
+    data = _export(plotter.render_window)
+    plotter.close()
+    return png.getvalue(), data
+
+
+def _export(window) -> bytes:
+    """Zipped vtk.js scene of a render window, without the web server (and its downloads) PyVista starts for it."""
+    from trame_vtk.modules.vtk import serializers
+
+    serializers.initialize_serializers()
+    context = serializers.SynchronizationContext()
+    context.set_ignore_last_dependencies(True)
+    state = serializers.serialize(None, window, serializers.reference_id(window), context, 1)
+    camera = window.GetRenderers().GetFirstRenderer().GetActiveCamera()
+    state["extra"] = {
+        "vtkRefId": serializers.reference_id(window),
+        "centerOfRotation": camera.GetFocalPoint(),
+        "camera": serializers.reference_id(camera),
+    }
+    arrays = {
+        a["hash"]: {**a, "content": context.get_cached_data_array(a["hash"])}
+        for a in serializers.extract_array_hash(state)
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        entry = zipfile.ZipInfo("index.json")  # with a fixed date: same scene, same bytes
+        archive.writestr(entry, json.dumps({"hashes": arrays, "scene": state}), zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def _draw_still(panels, rows, columns, size, distance, flat):
+    """The same view by matplotlib: triangles shaded and painted from the back."""
+    fig, axes = plt.subplots(rows, columns, figsize=(size[0] / 100, size[1] / 100), squeeze=False, layout="none")
+    fig.subplots_adjust(0, 0, 1, 1, 0, 0)
+    edge = _TAN * size[0] * rows / (columns * size[1])  # half the width of a panel at unit distance
+    light = _AXES @ [-0.3, 0.4, 1.0] / np.linalg.norm([-0.3, 0.4, 1.0])
+    for ax in axes.flat:
+        ax.set_axis_off()
+        ax.set(xlim=(-edge, edge), ylim=(-_TAN, _TAN))
+    for ax, (vertices, faces, colours, marks) in zip(axes.flat, panels):
+        corners = vertices[faces]  # (f, 3, 3)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        shade = 1.0 if flat else 0.3 + 0.7 * np.abs(normals @ light)[:, None]
+        order = np.argsort(corners.mean(axis=1) @ _VIEW)
+        paint = np.clip(colours[faces].mean(axis=1) * shade, 0, 1)[order]
+        triangles = _project(corners[order], distance)  # (f, 3, 2)
+        ax.add_collection(PolyCollection(triangles, facecolors=paint, edgecolors=paint, linewidths=0.3))
+        for j, mark in enumerate(marks):
+            ax.plot(*_project(mark, distance), "o", ms=8, color=PALETTE[j % len(PALETTE)], mec="white")
+    png = io.BytesIO()
+    fig.savefig(png, format="png", dpi=100, facecolor="white")
+    plt.close(fig)
+    return png.getvalue(), None
+
+
+def _project(positions, distance):
+    seen = positions @ _AXES
+    return seen[..., :2] / (distance - seen[..., 2:])
