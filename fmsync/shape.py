@@ -7,6 +7,10 @@ intrinsic-Delaunay "tufted" Laplacian of Sharp & Crane (2020).
 from dataclasses import dataclass
 
 import numpy as np
+import robust_laplacian
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +64,188 @@ class Shape:
     def normalised(self) -> "Shape":
         """The same shape scaled to unit area (ValueError for a point cloud, which has no triangles)."""
         return Shape(self.vertices / np.sqrt(self.area), self.faces, self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """The first n Laplace–Beltrami eigenfunctions of a shape of unit area; all arrays are read-only.
+
+    Parameters
+    ----------
+    eigenvalues
+        (n,) ascending, for unit surface area (so free of the vertices' unit).
+    eigenfunctions
+        (V, n) columns Φ with Φᵀ A Φ = I.
+    mass
+        (V,) area of each vertex, the diagonal of A; sums to 1.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit together.
+
+    Examples
+    --------
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> basis.with_flipped(1).eigenfunctions[:, 1]
+    array([-1.,  1.])
+    >>> basis.truncated(1).eigenfunctions.shape
+    (2, 1)
+    """
+
+    eigenvalues: np.ndarray
+    eigenfunctions: np.ndarray
+    mass: np.ndarray
+
+    def __post_init__(self):
+        for field in ("eigenvalues", "eigenfunctions", "mass"):
+            object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
+        if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
+            raise ValueError(
+                f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {self.eigenfunctions.shape}, "
+                f"{self.mass.shape} and {self.eigenvalues.shape}"
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of basis functions."""
+        return len(self.eigenvalues)
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices V."""
+        return len(self.mass)
+
+    def coefficients(self, functions: np.ndarray) -> np.ndarray:
+        """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
+        functions = np.asarray(functions)
+        if functions.shape[:1] != self.mass.shape:
+            raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
+        return (self.eigenfunctions * self.mass[:, None]).T @ functions
+
+    def with_flipped(self, k: int) -> "Basis":
+        """The same basis with the sign of eigenfunction k turned."""
+        if not 0 <= k < self.n:
+            raise ValueError(f"k = {k} is not one of the basis functions 0..{self.n - 1}")
+        signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
+        return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
+
+    def truncated(self, n: int) -> "Basis":
+        """The first n of the basis functions."""
+        if not 1 <= n <= self.n:
+            raise ValueError(f"n = {n}: the basis holds 1..{self.n} functions")
+        return Basis(self.eigenvalues[:n], self.eigenfunctions[:, :n], self.mass)
+
+
+def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
+    r"""First ``n_basis`` Laplace–Beltrami eigenfunctions of a mesh or point cloud, scaled to unit area.
+
+    Solves :math:`K \Phi = A \Phi \Lambda` with the cotangent stiffness K and the lumped (barycentric) mass A. Meshes
+    with an edge in more than two faces or a degenerate face, and point clouds, take K and A from the intrinsic-Delaunay
+    Laplacian of Sharp & Crane (2020) instead. The same input gives the same bits; the entry of largest magnitude of
+    each eigenfunction is positive, a rule that says nothing about signs on *another* shape.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) positions in any unit.
+    faces
+        (F, 3) vertex indices, or None for a point cloud.
+    n_basis
+        Number n of eigenfunctions, 1 <= n < V.
+
+    Returns
+    -------
+    Basis
+        ``eigenvalues`` (n,), ``eigenfunctions`` (V, n), ``mass`` (V,). The first eigenfunction is constant.
+
+    Raises
+    ------
+    ValueError
+        Whatever :class:`Shape` refuses, an ``n_basis`` out of range, or a surface in several components.
+
+    Examples
+    --------
+    >>> vertices = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    >>> faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    >>> laplace_beltrami(vertices, faces, 4).eigenvalues.round(6)  # an octahedron: 0, then a triple eigenvalue
+    array([ 0.      , 13.856406, 13.856406, 13.856406])
+    """
+    vertices, faces = _checked_mesh(vertices, faces, "mesh" if faces is not None else "point cloud")
+    n_vertices = len(vertices)
+    if not 1 <= n_basis < n_vertices:
+        raise ValueError(f"n_basis = {n_basis} must be at least 1 and less than the number of vertices, {n_vertices}")
+
+    # Centre and scale first: a scan in millimetres, far from its origin, must not lose digits.
+    vertices = vertices - vertices.mean(axis=0)
+    vertices /= np.abs(vertices).max() or 1.0
+    stiffness, mass = _laplacian(vertices, faces)
+    n_components, label = connected_components(stiffness, directed=False)
+    if n_components > 1:
+        raise ValueError(
+            f"the surface has {n_components} components; vertex {np.argmax(label != label[0])} is not connected to "
+            "vertex 0: keep one component"
+        )
+    if not mass.min() > 0:
+        raise ValueError(f"vertex {mass.argmin()} has no area around it (a duplicate point?): remove it")
+    mass = mass / mass.sum()  # K does not change under scaling, so this alone is the normalisation to unit area
+
+    # (A^½ (K + A)⁻¹ A^½) y = y / (λ + 1): the wanted end of the spectrum is the large one, and the shift of 1, small
+    # beside 4π (Weyl's spacing at unit area), keeps K + A safely positive definite.
+    factor = splu(
+        (stiffness + sparse.diags_array(mass)).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0,
+        options={"SymmetricMode": True},
+    )
+    root = np.sqrt(mass)  # (V,)
+    inverse = LinearOperator(stiffness.shape, lambda y: root * factor.solve(root * y.ravel()), dtype=np.float64)
+    start = np.random.default_rng(0).standard_normal(n_vertices)  # fixed: ARPACK's own would change from run to run
+    values, vectors = eigsh(inverse, k=n_basis, which="LA", v0=start, tol=1e-10)
+
+    order = np.argsort(-values)
+    eigenvalues = np.maximum(1 / values[order] - 1, 0.0)  # round-off may put the zero at -1e-13
+    eigenfunctions = vectors[:, order] / root[:, None]  # (V, n)
+    peak = np.abs(eigenfunctions).argmax(axis=0)  # (n,)
+    eigenfunctions *= np.sign(eigenfunctions[peak, np.arange(n_basis)])
+    return Basis(eigenvalues, eigenfunctions, mass)
+
+
+def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.csr_array, np.ndarray]:
+    """Stiffness (V, V), positive semi-definite, and lumped mass (V,)."""
+    if faces is None:
+        n_neighbours = min(30, len(vertices) - 1)
+        stiffness, mass = robust_laplacian.point_cloud_laplacian(vertices, n_neighbors=n_neighbours)
+    elif _is_clean(vertices, faces):
+        return _cotangent_laplacian(vertices, faces)
+    else:
+        stiffness, mass = robust_laplacian.mesh_laplacian(vertices, faces)
+    return sparse.csr_array(stiffness), mass.diagonal()
+
+
+def _is_clean(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """No edge in more than two faces, no face so thin that its cotangents are noise."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)  # (3F, 2)
+    _, n_faces = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    squared = ((vertices[edges[:, 0]] - vertices[edges[:, 1]]) ** 2).sum(axis=1).reshape(-1, 3)  # (F, 3)
+    fat_enough = _triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)
+    return bool(n_faces.max() <= 2 and fat_enough.all())
+
+
+def _cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
+    """K_ab = −(cot α + cot β) / 2 over the two angles that face edge ab; A_aa = a third of the faces around a."""
+    n_vertices = len(vertices)
+    sides = vertices[faces[:, [2, 0, 1]]] - vertices[faces[:, [1, 2, 0]]]  # (F, 3, 3): side c faces corner c
+    areas = _triangle_areas(vertices, faces)  # (F,)
+    cosines = -np.einsum("fcx,fcx->fc", np.roll(sides, -1, axis=1), np.roll(sides, -2, axis=1))
+    half_cotangents = (cosines / (4 * areas[:, None])).ravel()  # (3F,), of the angle at corner c
+
+    a, b = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
+    rows, columns = np.concatenate([a, b, a, b]), np.concatenate([b, a, a, b])
+    weights = np.concatenate([-half_cotangents, -half_cotangents, half_cotangents, half_cotangents])
+    stiffness = sparse.coo_array((weights, (rows, columns)), shape=(n_vertices, n_vertices)).tocsr()
+    mass = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), minlength=n_vertices)
+    return stiffness, mass
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

@@ -1,0 +1,140 @@
+"""Descriptors: functions on a shape that an isometry keeps, computed from its Laplace–Beltrami basis.
+
+All of them live on the basis of unit area, so units and scale do not matter. Those of a single shape
+(:func:`heat_kernel_signature`, :func:`wave_kernel_signature`) cannot tell left from right on a symmetric shape;
+:func:`heat_kernel` from a few landmarks can.
+"""
+
+import numpy as np
+
+from fmsync.shape import Basis
+
+
+def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
+    r"""Heat kernel signature :math:`\sum_k e^{-\lambda_k t} \phi_k(x)^2 / \sum_k e^{-\lambda_k t}` (Sun et al. 2009).
+
+    Times are log-spaced between :math:`4 \ln 10 / \lambda_n` and :math:`4 \ln 10 / \lambda_2`. Dividing by the trace
+    weighs all times alike; the area-weighted mean of every column is then 1.
+
+    Parameters
+    ----------
+    basis
+        At least two eigenfunctions on V vertices.
+    n_times
+        Number of columns K.
+
+    Returns
+    -------
+    (V, K), short times first.
+
+    Raises
+    ------
+    ValueError
+        A basis of one function, or ``n_times`` < 1.
+
+    Examples
+    --------
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> heat_kernel_signature(basis, 2)
+    array([[1., 1.],
+           [1., 1.]])
+    """
+    return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
+
+
+def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
+    r"""Wave kernel signature :math:`\sum_k w_k(e) \phi_k(x)^2 / \sum_k w_k(e)` (Aubry et al. 2011).
+
+    Weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced between
+    :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as in the paper.
+
+    Parameters
+    ----------
+    basis
+        At least two eigenfunctions on V vertices.
+    n_energies
+        Number of columns K.
+
+    Returns
+    -------
+    (V, K), low energies first; the area-weighted mean of every column is 1.
+
+    Raises
+    ------
+    ValueError
+        A basis of one function, or ``n_energies`` < 1.
+
+    Examples
+    --------
+    >>> basis = Basis([0.0, 2.0, 5.0], np.sqrt(3) * np.eye(3), [1 / 3, 1 / 3, 1 / 3])
+    >>> wave_kernel_signature(basis, 4).shape
+    (3, 4)
+    """
+    _check(basis, n_energies, "n_energies")
+    logs = np.log(basis.eigenvalues[1:])
+    # spacing δ, width s = 7δ, range shortened by 2s at both ends: (K − 1) δ = span − 4s gives δ = span / (K + 27).
+    spacing = max((logs[-1] - logs[0]) / (n_energies + 27), 1e-6)
+    width = 7 * spacing
+    energies = logs[0] + 2 * width + spacing * np.arange(n_energies)
+    weights = np.zeros((n_energies, basis.n))
+    weights[:, 1:] = np.exp(-((energies[:, None] - logs) ** 2) / (2 * width**2))
+    return _squares_averaged(basis, weights)
+
+
+def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.ndarray:
+    r"""Heat at every vertex from a unit source at each landmark, :math:`\sum_k e^{-\lambda_k t} \phi_k(x) \phi_k(y)`.
+
+    Each column is scaled to area-weighted norm 1, so that long and short times weigh alike.
+
+    Parameters
+    ----------
+    basis
+        At least two eigenfunctions on V vertices.
+    landmarks
+        (L,) vertices y; the same points in the same order on every shape.
+    n_times
+        Times of each landmark, as in :func:`heat_kernel_signature`.
+
+    Returns
+    -------
+    (V, L * n_times), the times of the first landmark first.
+
+    Raises
+    ------
+    ValueError
+        A basis of one function, ``n_times`` < 1, or a landmark outside the shape.
+
+    Examples
+    --------
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> bool(np.diff(heat_kernel(basis, [0], 1)[:, 0]) < 0)  # colder away from the source
+    True
+    """
+    landmarks = np.asarray(landmarks)
+    bad = np.flatnonzero((landmarks < 0) | (landmarks >= basis.n_vertices))
+    if len(bad):
+        raise ValueError(f"landmarks[{bad[0]}] = {landmarks[bad[0]]} is outside the vertices 0..{basis.n_vertices - 1}")
+    decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)
+    sources = basis.eigenfunctions[landmarks]  # (L, n)
+    coefficients = (sources[:, None, :] * decay).reshape(-1, basis.n)  # (L T, n)
+    coefficients /= np.linalg.norm(coefficients, axis=1, keepdims=True)  # Parseval: the norm of the function
+    return basis.eigenfunctions @ coefficients.T
+
+
+def _times(basis: Basis, n_times: int) -> np.ndarray:
+    _check(basis, n_times, "n_times")
+    scale = 4 * np.log(10)
+    return np.geomspace(scale / basis.eigenvalues[-1], scale / basis.eigenvalues[1], n_times)
+
+
+def _squares_averaged(basis: Basis, weights: np.ndarray) -> np.ndarray:
+    """Mean of φ_k² (V, n) under weights (K, n): (V, K)."""
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    return basis.eigenfunctions**2 @ weights.T
+
+
+def _check(basis: Basis, count: int, name: str) -> None:
+    if basis.n < 2:
+        raise ValueError("descriptors need a basis of at least two functions: the first one is constant")
+    if count < 1:
+        raise ValueError(f"{name} = {count} must be at least 1")
