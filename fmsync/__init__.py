@@ -15,7 +15,6 @@ _HOME = {  # public name -> the room it lives in
     "Shape": "shape",
     "SyncProblem": "problem",
     "expected_rms_error": "bounds",
-    "functional_map": "functional_map",
     "functional_map_from_descriptors": "functional_map",
     "laplace_beltrami": "shape",
     "methods": "estimators",
@@ -23,10 +22,10 @@ _HOME = {  # public name -> the room it lives in
     "relative_error_bound": "bounds",
     "solve": "estimators",
 }
-_ROOMS = {"bounds", "diagnostics", "estimators", "functional_map", "oracle", "problem", "samplers", "shape", "so"}
+_ROOMS = {"bounds", "diagnostics", "estimators", "oracle", "problem", "samplers", "shape", "so"}
 _ROOMS |= {"uncertainty", "viz"}
 
-__all__ = sorted(_HOME)
+__all__ = sorted([*_HOME, "functional_map"])
 
 
 def __getattr__(name: str):
@@ -41,3 +40,7 @@ def __getattr__(name: str):
 
 def __dir__():
     return sorted({*globals(), *_HOME, *_ROOMS})
+
+
+# The room and the function share a name. Loading the room here, once, leaves the function under it for good.
+from fmsync.functional_map import functional_map  # noqa: E402

@@ -1,0 +1,90 @@
+"""Connected random graphs of shapes with a given edge density."""
+
+import networkx as nx
+import numpy as np
+
+
+def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Generator = 0) -> nx.Graph:
+    r"""Connected graph with ``round(density * N (N - 1) / 2)`` edges: a random labelled tree plus random other pairs.
+
+    The tree is uniform among all labelled trees, so that no edge is favoured; dense graphs are as good as uniform.
+
+    Parameters
+    ----------
+    n_nodes
+        Number of shapes N >= 2.
+    density
+        Share of all pairs in (0, 1]; 1 is the complete graph.
+    rng
+        Seed or generator.
+
+    Returns
+    -------
+    networkx.Graph
+        Nodes 0..N-1; ``graph.graph["density"]`` holds the density asked for and ``graph.graph["achieved_density"]``
+        the one that rounding left.
+
+    Raises
+    ------
+    ValueError
+        Density outside (0, 1], or too few edges to connect all nodes (names the least density that would do).
+
+    Examples
+    --------
+    >>> import data_gen
+    >>> graph = data_gen.random_graph(4, density=5 / 6, rng=0)
+    >>> graph.number_of_edges(), round(graph.graph["achieved_density"], 3)
+    (5, 0.833)
+    """
+    if isinstance(n_nodes, bool) or int(n_nodes) != n_nodes or n_nodes < 2:
+        raise ValueError(f"n_nodes: need at least two shapes, got {n_nodes}")
+    if not 0 < density <= 1:
+        raise ValueError(f"density: must lie in (0, 1], got {density}")
+    n_pairs = n_nodes * (n_nodes - 1) // 2
+    n_edges = round(density * n_pairs)
+    if n_edges < n_nodes - 1:
+        least = (n_nodes - 1) / n_pairs
+        raise ValueError(
+            f"density: {density} gives {n_edges} edges, but connecting {n_nodes} nodes takes {n_nodes - 1}; "
+            f"ask for at least {least:.4g}"
+        )
+    rng = np.random.default_rng(rng)
+    graph = nx.empty_graph(n_nodes)
+    if n_edges == n_pairs:
+        graph = nx.complete_graph(n_nodes)
+    else:
+        graph.add_edges_from(_random_tree(n_nodes, rng))
+        while graph.number_of_edges() < n_edges:  # few collisions below half density; dense graphs have few nodes
+            batch = rng.integers(n_nodes, size=(4 * (n_edges - graph.number_of_edges()), 2))
+            for i, j in batch[batch[:, 0] != batch[:, 1]].tolist():
+                if graph.number_of_edges() == n_edges:
+                    break
+                graph.add_edge(i, j)
+    graph.graph.update(density=float(density), achieved_density=graph.number_of_edges() / n_pairs)
+    return graph
+
+
+def graph_edges(graph: nx.Graph) -> np.ndarray:
+    """Edges (E, 2) of a graph on nodes 0..N-1, each as (i, j) with i < j, in lexicographic order.
+
+    Raises a ValueError when the nodes are not 0..N-1 or the graph is disconnected (naming the components).
+
+    Examples
+    --------
+    >>> import networkx as nx, data_gen
+    >>> data_gen.graph_edges(nx.path_graph(3)).tolist()
+    [[0, 1], [1, 2]]
+    """
+    if sorted(graph.nodes) != list(range(graph.number_of_nodes())):
+        raise ValueError("graph: nodes must be numbered 0..N-1; relabel with networkx.convert_node_labels_to_integers")
+    if not nx.is_connected(graph):
+        parts = [sorted(part)[:8] for part in nx.connected_components(graph)]
+        raise ValueError(f"graph: falls into {len(parts)} components {parts[:6]}; every shape must be reachable")
+    return np.array(sorted(tuple(sorted(edge[:2])) for edge in graph.edges), dtype=np.int64)
+
+
+def _random_tree(n_nodes: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Uniform labelled tree: the decoding of a random Prüfer sequence."""
+    if n_nodes == 2:
+        return [(0, 1)]
+    return list(nx.from_prufer_sequence(rng.integers(n_nodes, size=n_nodes - 2).tolist()).edges)

@@ -1,0 +1,232 @@
+r"""Ground truth: relative maps of a shape collection, or random rotations, with their absolute maps.
+
+Protocol for shapes, in this order: bases; signs of eigenfunctions fixed; maps of the edges measured from the common
+vertex order and projected to SO(n); absolute maps multiplied along a spanning tree from shape 0. The tree is part of
+the protocol because measured maps are not exactly consistent: another tree gives another truth.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import networkx as nx
+import numpy as np
+
+from data_gen.graphs import graph_edges
+from fmsync import functional_map, laplace_beltrami, so
+from fmsync.problem import relative_maps
+from fmsync.shape import Basis, Shape
+
+TREES = ("depth-first", "breadth-first", "minimum-distortion")
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """What a problem was planted with. Estimators never see it.
+
+    Attributes
+    ----------
+    absolute
+        (N, n, n) rotations with C_1 = I.
+    edges
+        (E, 2).
+    maps
+        (E, n, n) consistent relative maps C_i^T C_j.
+    measured_maps
+        (E, n, n) rotations nearest to the maps measured on the shapes after sign fixing; not exactly consistent. For a
+        truth without shapes, equal to ``maps``.
+    bases
+        The sign-fixed Laplace–Beltrami bases, N of them, or () for a truth without shapes.
+    provenance
+        Plain JSON values that say how it was made.
+    """
+
+    absolute: np.ndarray
+    edges: np.ndarray
+    measured_maps: np.ndarray
+    bases: tuple[Basis, ...] = ()
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of shapes."""
+        return len(self.absolute)
+
+    @property
+    def n(self) -> int:
+        """Size of every map."""
+        return self.absolute.shape[-1]
+
+    @property
+    def maps(self) -> np.ndarray:
+        """Consistent relative maps of the edges, (E, n, n)."""
+        return self.relative(self.edges)
+
+    def relative(self, edges: np.ndarray) -> np.ndarray:
+        """Consistent relative maps of any pairs (K, 2)."""
+        return relative_maps(self.absolute, edges)
+
+
+def ground_truth(
+    shapes: Sequence[Shape],
+    graph: nx.Graph,
+    n_basis: int = 20,
+    *,
+    tree: str = "depth-first",
+    bases: Sequence[Basis] | None = None,
+    point_maps: Mapping[tuple[int, int], np.ndarray] | None = None,
+) -> GroundTruth:
+    """Ground-truth maps of a collection whose shapes share one vertex order.
+
+    Parameters
+    ----------
+    shapes
+        N shapes; vertex v of every shape is the same point of the body, unless ``point_maps`` says otherwise.
+    graph
+        Connected graph on nodes 0..N-1.
+    n_basis
+        Number n of Laplace–Beltrami eigenfunctions.
+    tree
+        ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"``: the spanning tree from shape 0
+        along which absolute maps are multiplied; neighbours are visited in the order of their numbers.
+    bases
+        Bases computed before, at least n_basis functions each, to save time.
+    point_maps
+        For every edge (i, j) the vertex of j for each vertex of i, (V_i,): for shapes without a common vertex order.
+
+    Returns
+    -------
+    GroundTruth
+
+    Raises
+    ------
+    ValueError
+        Unequal vertex counts where a common order is needed (names the shapes), wrong number of nodes, unknown tree.
+
+    Examples
+    --------
+    >>> import networkx as nx, pyvista as pv, data_gen, fmsync
+    >>> ball = pv.ParametricEllipsoid(1.0, 0.8, 0.6, u_res=20, v_res=20, w_res=20).triangulate().clean()
+    >>> shape = fmsync.Shape(ball.points, ball.regular_faces, "ellipsoid")
+    >>> truth = data_gen.ground_truth([shape, shape, shape], nx.complete_graph(3), n_basis=6)
+    >>> bool(abs(truth.maps - truth.measured_maps).max() < 1e-8)
+    True
+    """
+    edges = graph_edges(graph)
+    if len(shapes) != graph.number_of_nodes():
+        raise ValueError(f"graph: has {graph.number_of_nodes()} nodes for {len(shapes)} shapes")
+    if tree not in TREES:
+        raise ValueError(f"tree: {tree!r} is none of {', '.join(TREES)}")
+    if point_maps is None:
+        _require_common_order(shapes)
+    if bases is None:
+        bases = [laplace_beltrami(shape.vertices, shape.faces, n_basis) for shape in shapes]
+    bases = fix_signs([basis.truncated(n_basis) for basis in bases], point_maps)
+    raw = measure_maps(bases, edges, point_maps)
+    measured = so.project(raw)
+    provenance = {
+        "protocol": "ground truth of shapes",
+        "shapes": [shape.name for shape in shapes],
+        "n_vertices": [len(shape.vertices) for shape in shapes],
+        "n_basis": int(n_basis),
+        "tree": tree,
+        "density": graph.graph.get("density"),
+        "achieved_density": len(edges) / (len(shapes) * (len(shapes) - 1) / 2),
+    }
+    distortion = np.linalg.norm(raw - measured, axis=(1, 2))
+    absolute = absolute_maps(len(shapes), edges, measured, tree=tree, distortion=distortion)
+    return GroundTruth(absolute, edges, measured, tuple(bases), provenance)
+
+
+def measure_maps(
+    bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
+) -> np.ndarray:
+    """Raw functional maps (E, n, n) of the edges from the common vertex order, or from point maps; not projected."""
+    order = None if point_maps is not None else np.arange(len(bases[0].mass))
+    return np.stack(
+        [functional_map(bases[i], bases[j], order if point_maps is None else point_maps[i, j]) for i, j in edges]
+    )
+
+
+def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
+    """Flip one eigenfunction on each shape whose map from the first has a negative determinant.
+
+    Signs of eigenfunctions are arbitrary, so that a third to a half of all raw maps are nearer to a reflection than to
+    a rotation. One flip a shape, made before any map is formed, repairs nearly all of them at once and keeps the maps
+    consistent; projecting each map to SO(n) on its own tears the cycles apart.
+
+    Without a common vertex order the shapes are reached along the edges that ``point_maps`` offers, breadth first.
+    """
+    if point_maps is None:
+        pairs = [(0, i) for i in range(1, len(bases))]
+    else:
+        graph = nx.Graph(list(point_maps))
+        pairs = list(nx.bfs_edges(graph, 0))
+    fixed = list(bases)
+    for known, new in pairs:
+        if point_maps is None or (known, new) in point_maps:
+            order = np.arange(len(bases[0].mass)) if point_maps is None else point_maps[known, new]
+            c = functional_map(fixed[known], fixed[new], order)
+        else:
+            c = functional_map(fixed[new], fixed[known], point_maps[new, known])
+        if np.linalg.det(c) < 0:
+            fixed[new] = fixed[new].with_flipped(c.shape[-1] - 1)
+    return fixed
+
+
+def absolute_maps(
+    n_nodes: int,
+    edges: np.ndarray,
+    maps: np.ndarray,
+    *,
+    tree: str = "depth-first",
+    distortion: np.ndarray | None = None,
+) -> np.ndarray:
+    """Absolute maps (N, n, n) with C_1 = I, multiplied along a spanning tree from node 0: C_j = C_i C_ij.
+
+    ``distortion`` (E,) weighs the edges of the ``"minimum-distortion"`` tree.
+    """
+    lookup = {}
+    graph = nx.empty_graph(n_nodes)
+    for e, (i, j) in enumerate(np.asarray(edges).tolist()):
+        lookup[i, j], lookup[j, i] = maps[e], maps[e].T
+        graph.add_edge(i, j, weight=0.0 if distortion is None else distortion[e])
+    if tree == "minimum-distortion":
+        graph = nx.minimum_spanning_tree(graph)
+    if tree == "depth-first":
+        steps = nx.dfs_edges(graph, 0, sort_neighbors=sorted)
+    else:
+        steps = nx.bfs_edges(graph, 0, sort_neighbors=sorted)
+    absolute = np.zeros((n_nodes, *maps.shape[1:]))
+    absolute[0] = np.eye(maps.shape[-1])
+    for i, j in steps:
+        absolute[j] = absolute[i] @ lookup[i, j]
+    return so.project(absolute)
+
+
+def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
+    """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
+
+    Examples
+    --------
+    >>> import data_gen
+    >>> data_gen.planted(5, 3, rng=0).maps.shape
+    (10, 3, 3)
+    """
+    if graph is not None and graph.number_of_nodes() != n_nodes:
+        raise ValueError(f"graph: has {graph.number_of_nodes()} nodes, n_nodes says {n_nodes}")
+    edges = graph_edges(nx.complete_graph(n_nodes) if graph is None else graph)
+    absolute = so.random_uniform(n, n_nodes, rng)
+    absolute[0] = np.eye(n)
+    provenance = {"protocol": "planted Haar rotations", "n_nodes": int(n_nodes), "n": int(n)}
+    truth = GroundTruth(absolute, edges, np.empty(0), (), provenance)
+    return replace(truth, measured_maps=truth.maps)
+
+
+def _require_common_order(shapes: Sequence[Shape]) -> None:
+    counts = [len(shape.vertices) for shape in shapes]
+    odd = [f"{shape.name} ({count})" for shape, count in zip(shapes, counts) if count != counts[0]]
+    if odd:
+        raise ValueError(
+            f"shapes: a common vertex order needs equal vertex counts; {shapes[0].name} has {counts[0]}, but "
+            f"{', '.join(odd)}; give point_maps"
+        )

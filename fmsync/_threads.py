@@ -1,0 +1,15 @@
+"""One BLAS thread around loops over small matrices: two make 20 x 20 products several times slower."""
+
+from functools import cache
+
+from threadpoolctl import ThreadpoolController
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()  # looking through the loaded libraries takes milliseconds, so it is done once
+
+
+def single_threaded_blas():
+    """Context manager that limits BLAS to one thread."""
+    return _controller().limit(limits=1, user_api="blas")

@@ -1,0 +1,175 @@
+r"""Limits that no estimator passes: effective resistance, error floors and the recovery threshold."""
+
+from functools import cache
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from fmsync import so
+from fmsync.problem import SyncProblem
+
+_MOMENT_SAMPLES = 4000  # relative standard error of w_F at n = 20: 4e-4
+
+
+def effective_resistance(
+    n_nodes: int, edges: np.ndarray, pairs: np.ndarray | None = None, weights: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Resistance :math:`R_{ij} = (e_i - e_j)^\top L^+ (e_i - e_j)` between pairs of nodes, each edge a unit conductor.
+
+    Parameters
+    ----------
+    n_nodes, edges
+        Connected graph; repeated edges are parallel conductors.
+    pairs
+        (K, 2) pairs to measure between; the edges by default.
+    weights
+        (E,) conductances, ones by default.
+
+    Returns
+    -------
+    ndarray
+        (K,); 2/N for every pair of a complete graph.
+
+    Raises
+    ------
+    ValueError
+        The graph is disconnected or an edge invalid.
+
+    Examples
+    --------
+    >>> from fmsync.bounds import effective_resistance
+    >>> effective_resistance(3, [[0, 1], [1, 2], [0, 2]]).round(4)
+    array([0.6667, 0.6667, 0.6667])
+    """
+    edges = np.asarray(edges)
+    checked = SyncProblem(n_nodes, edges, np.broadcast_to(np.eye(2), (len(edges), 2, 2)), weights)
+    pairs = checked.edges if pairs is None else np.asarray(pairs)
+    (i, j), w = checked.edges.T, checked.weights
+    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
+    adjacency = sp.csc_matrix((np.tile(w, 2), ends), shape=(n_nodes, n_nodes))
+    laplacian = sp.diags(checked.degrees).tocsc() - adjacency
+    grounded = splu(laplacian[1:, 1:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    resistance = np.empty(len(pairs))
+    for first in range(0, len(pairs), 1024):  # a block of right-hand sides at a time
+        block = pairs[first : first + 1024]
+        unit = np.zeros((n_nodes, len(block)))
+        np.add.at(unit, (block[:, 0], np.arange(len(block))), 1.0)
+        np.add.at(unit, (block[:, 1], np.arange(len(block))), -1.0)
+        potential = np.zeros_like(unit)
+        potential[1:] = grounded.solve(unit[1:])
+        resistance[first : first + 1024] = (unit * potential).sum(0)
+    return resistance
+
+
+def relative_error_bound(
+    n_nodes: int, edges: np.ndarray, n: int, sigma2: float, pairs: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Small-error floor :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
+
+    Cramér–Rao for maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R the effective
+    resistance. Valid below the recovery threshold only: past it estimators shrink and cross the line.
+
+    Parameters
+    ----------
+    n_nodes, edges
+        Connected graph, one observation per edge.
+    n
+        Size of the maps.
+    sigma2
+        Noise variance per entry.
+    pairs
+        (K, 2) pairs; the edges by default.
+
+    Returns
+    -------
+    ndarray
+        (K,) floors of the mean *squared* Frobenius error.
+
+    Examples
+    --------
+    >>> import fmsync
+    >>> fmsync.relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
+    array([0.02, 0.02, 0.02])
+    """
+    _check_sigma2(sigma2)
+    return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
+
+
+def expected_rms_error(
+    n_nodes: int, edges: np.ndarray, n: int, sigma2: float, pairs: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Root-mean-square error to expect of the Frobenius MLE under the paper's noise, :math:`d\sqrt{R_{ij}/w_F}`.
+
+    :math:`w_F = \left(\tfrac{n-1}{2}E\operatorname{tr}Z\right)^2 / E\lVert\mathrm{skew}\,Z\rVert_F^2` for
+    Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error.
+
+    Returns
+    -------
+    ndarray
+        (K,) as in :func:`relative_error_bound`, but not squared.
+
+    Examples
+    --------
+    >>> import fmsync, networkx as nx
+    >>> float(fmsync.expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
+    0.6
+    """
+    _check_sigma2(sigma2)
+    resistance = effective_resistance(n_nodes, edges, pairs)
+    if sigma2 == 0:
+        return np.zeros_like(resistance)
+    trace, skew_squared = projected_noise_moments(n, float(sigma2))
+    information = ((n - 1) / 2 * trace) ** 2 / skew_squared
+    return n * (n - 1) / 2 * np.sqrt(resistance / information)
+
+
+@cache
+def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMPLES) -> tuple[float, float]:
+    r"""Moments (E tr Z, E‖skew Z‖²_F) of the paper's noise Z = proj(I + σG), averaged over a fixed sample.
+
+    Examples
+    --------
+    >>> from fmsync.bounds import projected_noise_moments
+    >>> round(projected_noise_moments(20, 0.2)[0] / 20, 2)
+    0.41
+    """
+    gaussian = np.random.default_rng(2023).standard_normal((n_samples, n, n))
+    noise = so.project(np.eye(n) + np.sqrt(sigma2) * gaussian)
+    return float(np.einsum("kaa->k", noise).mean()), float((so.skew(noise) ** 2).sum((1, 2)).mean())
+
+
+def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> float:
+    r"""Noise variance σ² beyond which synchronization of a complete graph is expected to recover nothing.
+
+    Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{kN + 1}`, k observations per pair: there the
+    leading eigenvectors of the connection matrix drown in its bulk (a heuristic from random matrices).
+
+    Returns
+    -------
+    float
+        σ²; infinity when even σ² = 100 stays above it.
+
+    Examples
+    --------
+    >>> import fmsync
+    >>> 0.35 < fmsync.bounds.recovery_threshold(11, 20) < 0.5
+    True
+    """
+    target = 1 / np.sqrt(observations_per_pair * n_nodes + 1)
+    low, high = 0.0, 100.0
+
+    def cosine(sigma2: float) -> float:
+        return projected_noise_moments(n, sigma2, n_samples=500)[0] / n  # the same sample each time: monotone enough
+
+    if cosine(high) > target:
+        return float("inf")
+    while high - low > 5e-3 * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if cosine(middle) > target else (low, middle)
+    return (low + high) / 2
+
+
+def _check_sigma2(sigma2: float) -> None:
+    if not (np.isfinite(sigma2) and sigma2 >= 0):
+        raise ValueError(f"sigma2: must be finite and >= 0, got {sigma2}")

@@ -1,0 +1,179 @@
+"""Point answers: every estimator is one file here, registered by name, called through :func:`solve`."""
+
+import difflib
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmsync import so
+from fmsync._threads import single_threaded_blas
+from fmsync.problem import SyncProblem, check_rotations, energy, fix_gauge, relative_maps
+
+Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolute (N,n,n), cost, gradient norm)
+
+_REGISTRY: dict[str, Callable] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What an optimiser saw at its start and after every accepted step.
+
+    Attributes
+    ----------
+    cost, gradient_norm, seconds
+        (K + 1,) each; the Frobenius norm of the gradient of the cost, and wall-clock seconds since the start.
+    """
+
+    cost: np.ndarray
+    gradient_norm: np.ndarray
+    seconds: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A point answer.
+
+    Attributes
+    ----------
+    method
+        Registered name of the estimator.
+    absolute
+        (N, n, n) absolute maps in the gauge C_1 = I (or in the gauge of the prior).
+    cost
+        The estimator's own cost at ``absolute``.
+    n_iterations, converged
+        Accepted steps of the optimiser (0 for direct methods) and whether its tolerance was met.
+    trace
+        :class:`Trace`, or None for direct methods.
+    on_group
+        Whether ``absolute`` are rotations; unconstrained estimates are not.
+    """
+
+    problem: SyncProblem
+    method: str
+    absolute: np.ndarray
+    cost: float
+    n_iterations: int = 0
+    converged: bool = True
+    trace: Trace | None = None
+    on_group: bool = True
+
+    @classmethod
+    def from_absolute(cls, problem: SyncProblem, absolute: np.ndarray, method: str, **fields) -> "Estimate":
+        """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
+        absolute = fix_gauge(so.project(absolute))
+        absolute[0] = np.eye(problem.n)
+        fields.setdefault("cost", float(energy(problem, absolute)))
+        return cls(problem, method, absolute, **fields)
+
+    def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
+        r"""Relative maps (E, n, n): :math:`C_i^\top C_j` on the group, :math:`C_i^{-1} C_j` off it.
+
+        ``edges`` (E, 2) defaults to the problem's own.
+        """
+        edges = self.problem.edges if edges is None else np.asarray(edges)
+        if self.on_group:
+            return relative_maps(self.absolute, edges)
+        return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
+
+
+def estimator(name: str) -> Callable:
+    """Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name."""
+
+    def register(function: Callable) -> Callable:
+        _REGISTRY[name] = function
+        return function
+
+    return register
+
+
+def methods() -> list[str]:
+    """Names that :func:`solve` knows.
+
+    Examples
+    --------
+    >>> import fmsync
+    >>> "spectral" in fmsync.methods()
+    True
+    """
+    for package in (__name__, "fmsync.bench.peers"):
+        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+            importlib.import_module(f"{package}.{module.name}")
+    return sorted(_REGISTRY)
+
+
+def solve(
+    problem: SyncProblem,
+    method: str = "mle",
+    *,
+    rng: int | np.random.Generator = 0,
+    callback: Callback | None = None,
+    **options,
+) -> Estimate:
+    """Estimate the absolute maps of a problem; BLAS runs single-threaded meanwhile, which small products like.
+
+    Parameters
+    ----------
+    problem
+        What was observed.
+    method
+        A name of :func:`methods`.
+    rng
+        Seed or generator: same seed, same answer.
+    callback
+        Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after every accepted step of an
+        iterative method; direct methods call it once.
+    options
+        Passed to the estimator; an unknown option is refused with the list of known ones.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    ValueError
+        Unknown method or option.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    >>> fmsync.solve(p, "mle").cost
+    0.0
+    """
+    names = methods()
+    if method not in _REGISTRY:
+        close = difflib.get_close_matches(method, names)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
+        raise ValueError(f"method: no estimator is called {method!r}; {hint}")
+    function = _REGISTRY[method]
+    known = [name for name in inspect.signature(function).parameters if name not in ("problem", "rng", "callback")]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
+    with single_threaded_blas():
+        return function(problem, rng=np.random.default_rng(rng), callback=callback or _nothing, **options)
+
+
+def starting_point(problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator) -> np.ndarray:
+    """Rotations (N, n, n) to start from: "spectral", "random" (Haar), given rotations, or an earlier estimate's."""
+    if isinstance(init, str):
+        if init == "random":
+            return so.random_uniform(problem.n, problem.n_nodes, rng)
+        if init == "spectral":
+            return solve(problem, "spectral", rng=rng).absolute.copy()
+        raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
+    absolute = np.array(init.absolute if isinstance(init, Estimate) else init, dtype=float)
+    if absolute.shape != (problem.n_nodes, problem.n, problem.n):
+        raise ValueError(f"init: expected {(problem.n_nodes, problem.n, problem.n)}, got {absolute.shape}")
+    check_rotations(absolute, "init")
+    return absolute
+
+
+def _nothing(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
+    """The callback of a caller who gave none."""

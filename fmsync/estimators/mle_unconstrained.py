@@ -1,0 +1,134 @@
+r"""Least squares over arbitrary matrices, gauge fixed: the paper's MLE (1)."""
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from fmsync.estimators import Callback, Estimate, Trace, estimator
+from fmsync.estimators._recorder import Recorder
+from fmsync.problem import SyncProblem, neighbour_sums, unconstrained_energy
+from fmsync.so import transpose
+
+
+@estimator("mle-unconstrained")
+def mle_unconstrained(
+    problem: SyncProblem,
+    *,
+    rng: np.random.Generator,
+    callback: Callback,
+    solver: str = "exact",
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+) -> Estimate:
+    r"""Minimise :math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` over real matrices with C_1 = I.
+
+    Without the gauge the minimiser is C = 0, whatever was observed. With it this is a linear least-squares problem in
+    the blocks of C_2..C_N, the same for each of their n rows.
+
+    Parameters
+    ----------
+    problem
+        Observed maps.
+    rng
+        Draws the start of the iteration.
+    solver
+        ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
+        random start, to watch a convergence.
+    tolerance, max_iterations
+        For ``"iterative"``: norm of the gradient at which to stop.
+
+    Returns
+    -------
+    Estimate
+        Off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    >>> bool(np.allclose(fmsync.solve(p, "mle-unconstrained").absolute, np.eye(4)))
+    True
+    """
+    if solver not in ("exact", "iterative"):
+        raise ValueError(f"solver: 'exact' or 'iterative', not {solver!r}")
+    if solver == "exact":
+        absolute = np.concatenate([np.eye(problem.n)[None], _exact(problem)])
+        cost = float(unconstrained_energy(problem, absolute))
+        callback(0, absolute, cost, _gradient_norm(problem, absolute))
+        return Estimate(problem, "mle-unconstrained", absolute, cost, on_group=False)
+    absolute, converged, trace = _conjugate_gradients(problem, rng, callback, tolerance, max_iterations)
+    cost = float(unconstrained_energy(problem, absolute))
+    n_iterations = len(trace.cost) - 1
+    return Estimate(problem, "mle-unconstrained", absolute, cost, n_iterations, converged, trace, on_group=False)
+
+
+def precision(problem: SyncProblem) -> tuple[sp.csc_matrix, np.ndarray]:
+    r"""The quadratic form of the gauged energy: :math:`\sum_r x_r^\top K x_r - 2\sum_r b_r^\top x_r + const`.
+
+    x_r stacks row r of C_2..C_N.
+
+    Returns
+    -------
+    K
+        Sparse ((N-1) n, (N-1) n), positive definite on a connected graph with invertible maps.
+    b
+        ((N-1) n, n), one column for each row r.
+    """
+    n_nodes, n = problem.n_nodes, problem.n
+    weighted = problem.weights[:, None, None] * problem.maps
+    diagonal = np.zeros((n_nodes, n, n))
+    np.add.at(diagonal, problem.edges[:, 0], weighted @ transpose(problem.maps))  # from ‖C_i C_ij‖²
+    np.add.at(diagonal, problem.edges[:, 1], problem.weights[:, None, None] * np.eye(n))  # from ‖C_j‖²
+    i, j = problem.edges.T
+    blocks = np.concatenate([diagonal, -weighted, -transpose(weighted)])
+    rows, columns = np.concatenate([np.arange(n_nodes), i, j]), np.concatenate([np.arange(n_nodes), j, i])
+    a, b = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    entry_rows = (n * rows[:, None, None] + a).ravel()
+    entry_columns = (n * columns[:, None, None] + b).ravel()
+    whole = sp.csc_matrix((blocks.ravel(), (entry_rows, entry_columns)), shape=(n_nodes * n, n_nodes * n))
+    return whole[n:, n:].tocsc(), -whole[n:, :n].toarray()
+
+
+def _exact(problem: SyncProblem) -> np.ndarray:
+    """C_2..C_N (N-1, n, n) at the minimum."""
+    k, b = precision(problem)
+    factor = splu(k, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
+    return transpose(factor.solve(b).reshape(problem.n_nodes - 1, problem.n, problem.n))
+
+
+def _half_gradient(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
+    """Half the gradient of the unconstrained energy, (N, n, n)."""
+    i, j = problem.edges.T
+    gram = np.zeros(absolute.shape)
+    np.add.at(gram, i, problem.weights[:, None, None] * (problem.maps @ transpose(problem.maps)))
+    np.add.at(gram, j, problem.weights[:, None, None] * np.eye(problem.n))
+    return absolute @ gram - neighbour_sums(problem, absolute)
+
+
+def _gradient_norm(problem: SyncProblem, absolute: np.ndarray) -> float:
+    return float(2 * np.linalg.norm(_half_gradient(problem, absolute)[1:]))
+
+
+def _conjugate_gradients(problem, rng, callback, tolerance, max_iterations) -> tuple[np.ndarray, bool, Trace]:
+    n_nodes, n = problem.n_nodes, problem.n
+    recorder = Recorder(callback)
+    absolute = rng.standard_normal((n_nodes, n, n)) / np.sqrt(n)
+    absolute[0] = np.eye(n)
+
+    def apply(direction):  # K on C_2..C_N
+        return _half_gradient(problem, np.concatenate([np.zeros((1, n, n)), direction]))[1:]
+
+    residual = -_half_gradient(problem, absolute)[1:]
+    direction, slope = residual, np.vdot(residual, residual)
+    for iteration in range(max_iterations + 1):
+        norm = 2 * np.sqrt(slope)
+        recorder(absolute, unconstrained_energy(problem, absolute), norm)
+        if norm <= tolerance or iteration == max_iterations:
+            break
+        curved = apply(direction)
+        length = slope / np.vdot(direction, curved)
+        absolute = np.concatenate([absolute[:1], absolute[1:] + length * direction])
+        residual = residual - length * curved
+        slope, old_slope = np.vdot(residual, residual), slope
+        direction = residual + (slope / old_slope) * direction
+    return absolute, bool(norm <= tolerance), recorder.trace()

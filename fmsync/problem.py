@@ -1,0 +1,363 @@
+r"""Synchronization problems: observed relative maps on a graph, their energies, gradients and Hessian.
+
+Absolute maps C_i take shape i to a common universe, and an edge (i, j) carries an observation of
+:math:`C_{ij} = C_i^\top C_j` (consistency: :math:`C_i C_{ij} = C_j`). Gradients live in the body frame: the tangent
+vector at C_j is :math:`C_j\,g_j` with g_j skew-symmetric. All energies accept leading batch axes, e.g. chains.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import networkx as nx
+import numba
+import numpy as np
+
+from fmsync import so
+from fmsync.so import skew, sym, transpose
+
+_DENSE_FROM = 0.2  # above this share of filled blocks one dense product beats a loop over edges (see the benchmarks)
+_ORTHOGONALITY_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SyncProblem:
+    r"""Observed maps C_ij on the edges of a connected graph; arrays are validated, copied and made read-only.
+
+    Parameters
+    ----------
+    n_nodes
+        Number of shapes N >= 2.
+    edges
+        (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and appear in both directions.
+    maps
+        (E, n, n) observations. They need not be orthogonal, but the estimators on SO(n) expect nearly so.
+    weights
+        (E,) positive multiplicities of the terms of the energy; ones by default.
+    provenance
+        Where the problem comes from (collection, seed, protocol, versions): plain JSON values, read by nobody who
+        solves it.
+
+    Raises
+    ------
+    ValueError
+        Naming the edge or the components: self-loops, nodes out of range, a disconnected graph, maps that are not
+        square or not finite, counts that disagree, weights that are not positive.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    >>> p.n, p.n_edges
+    (4, 3)
+    """
+
+    n_nodes: int
+    edges: np.ndarray
+    maps: np.ndarray
+    weights: np.ndarray | None = None
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self):
+        edges = _validated_edges(self.n_nodes, self.edges)
+        maps = np.array(self.maps, dtype=float)
+        if maps.ndim != 3 or maps.shape[1] != maps.shape[2] or maps.shape[1] < 2:
+            raise ValueError(f"maps: expected (E, n, n) with n >= 2, got {maps.shape}; all maps must be of one size")
+        if len(maps) != len(edges):
+            raise ValueError(f"maps: {len(maps)} maps for {len(edges)} edges; give one map per edge")
+        bad = np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))
+        if bad.size:
+            raise ValueError(f"maps: edge {bad[0]} {_pair(edges[bad[0]])} holds NaN or infinity")
+        weights = np.ones(len(edges)) if self.weights is None else np.array(self.weights, dtype=float)
+        if weights.shape != (len(edges),):
+            raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
+        bad = np.flatnonzero(~((weights > 0) & np.isfinite(weights)))
+        if bad.size:
+            raise ValueError(f"weights: edge {bad[0]} {_pair(edges[bad[0]])} has weight {weights[bad[0]]}; must be > 0")
+        for name, array in (("edges", edges), ("maps", maps), ("weights", weights)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def n(self) -> int:
+        """Size of every map."""
+        return self.maps.shape[-1]
+
+    @property
+    def n_edges(self) -> int:
+        """Number of observations E, repeats included."""
+        return len(self.edges)
+
+    @property
+    def dim(self) -> int:
+        """d = n(n-1)/2, the dimension of SO(n)."""
+        return self.n * (self.n - 1) // 2
+
+    @cached_property
+    def degrees(self) -> np.ndarray:
+        """(N,) sum of the weights of the edges at every node."""
+        return np.bincount(self.edges.ravel(), np.repeat(self.weights, 2), minlength=self.n_nodes)
+
+    @cached_property
+    def is_dense(self) -> bool:
+        """Whether the connection matrix is stored and multiplied as one dense array."""
+        return 2 * self.n_edges >= _DENSE_FROM * self.n_nodes**2
+
+    @cached_property
+    def connection(self) -> np.ndarray:
+        """(N n, N n) symmetric block matrix of the observations, B_ij = w C_ij and B_ji its transpose."""
+        n_nodes, n = self.n_nodes, self.n
+        blocks = np.zeros((n_nodes, n_nodes, n, n))
+        weighted = self.weights[:, None, None] * self.maps
+        np.add.at(blocks, (self.edges[:, 0], self.edges[:, 1]), weighted)
+        np.add.at(blocks, (self.edges[:, 1], self.edges[:, 0]), transpose(weighted))
+        return np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n_nodes * n, n_nodes * n))
+
+    @cached_property
+    def incidence(self) -> tuple[np.ndarray, ...]:
+        """Edges sorted by node: (start (N+1,), edge, other, forward), forward where the node is the edge's head."""
+        head, tail = self.edges[:, 1], self.edges[:, 0]
+        node = np.concatenate([head, tail])
+        order = np.argsort(node, kind="stable")
+        edge = np.tile(np.arange(self.n_edges), 2)[order]
+        other = np.concatenate([tail, head])[order]
+        forward = np.repeat([True, False], self.n_edges)[order]
+        start = np.concatenate([[0], np.cumsum(np.bincount(node, minlength=self.n_nodes))])
+        return start, edge, other, forward
+
+    @cached_property
+    def constant(self) -> float:
+        r"""The part of the Euclidean energy that no rotation changes: :math:`\sum w (n + \|C_{ij}\|_F^2)`."""
+        return float(self.weights @ (self.n + (self.maps**2).sum((1, 2))))
+
+
+@dataclass(frozen=True, eq=False)
+class LangevinPrior:
+    r"""Independent matrix-Langevin priors :math:`p(C_i)\propto\exp(\kappa_i\operatorname{tr}(M_i^\top C_i))`.
+
+    Parameters
+    ----------
+    mean
+        (N, n, n) modes M_i, rotations.
+    kappa
+        (N,) or one float, concentrations >= 0; 0 leaves that map uniform. All zero would be no prior: ValueError.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0).kappa
+    array([5., 5.])
+    """
+
+    mean: np.ndarray
+    kappa: np.ndarray
+
+    def __post_init__(self):
+        mean = np.array(self.mean, dtype=float)
+        if mean.ndim != 3:
+            raise ValueError(f"mean: expected (N, n, n), got {mean.shape}")
+        check_rotations(mean, "mean")
+        kappa = np.array(np.broadcast_to(np.asarray(self.kappa, dtype=float), len(mean)))
+        bad = np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))
+        if bad.size:
+            raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")
+        if not kappa.any():
+            raise ValueError("kappa: all concentrations are 0; leave the prior out instead")
+        mean.setflags(write=False)
+        kappa.setflags(write=False)
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "kappa", kappa)
+
+
+def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncProblem:
+    r"""The problem with its prior written as observations from one more node, the anchor, held at the identity.
+
+    :math:`\kappa_i\operatorname{tr}(M_i^\top C_i)` is the Langevin log-likelihood of an edge from a node with
+    C = I to node i that observed M_i, relative to the others with weight κ_i/κ. So the maximum a posteriori estimate
+    is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
+    >>> fmsync.problem.anchored(p, fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0), kappa=10.0).weights
+    array([1. , 0.5, 0.5])
+    """
+    if prior.mean.shape != (problem.n_nodes, problem.n, problem.n):
+        expected = (problem.n_nodes, problem.n, problem.n)
+        raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
+    if not (np.isfinite(kappa) and kappa > 0):
+        raise ValueError(f"kappa: the concentration of the observations must be > 0, got {kappa}")
+    held = np.flatnonzero(prior.kappa)
+    edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
+    return SyncProblem(
+        problem.n_nodes + 1,
+        np.concatenate([problem.edges, edges]),
+        np.concatenate([problem.maps, prior.mean[held]]),
+        np.concatenate([problem.weights, prior.kappa[held] / kappa]),
+    )
+
+
+def relative_maps(absolute: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    r"""Relative maps :math:`C_i^\top C_j` (..., E, n, n) of absolute rotations (..., N, n, n)."""
+    i, j = np.asarray(edges).T
+    return transpose(absolute[..., i, :, :]) @ absolute[..., j, :, :]
+
+
+def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
+    """The equivalent rotations with C_node = I; (..., N, n, n)."""
+    return transpose(absolute[..., node, None, :, :]) @ absolute
+
+
+def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""S_j (..., N, n, n), the weighted sum of what every neighbour says about C_j.
+
+    .. math:: S_j = \sum_{(i,j)\in E} w\,C_i C_{ij} + \sum_{(j,k)\in E} w\,C_k C_{jk}^\top
+
+    One dense product for well-filled graphs, one small product per edge end for sparse ones. Blocks C_j may also be
+    (m, n): then the sums are the product of the connection matrix with m vectors.
+    """
+    n_nodes, rows, n = c.shape[-3:]
+    flat = c.reshape(-1, n_nodes, rows, n)
+    if problem.is_dense:
+        stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
+        sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
+        return np.ascontiguousarray(sums).reshape(c.shape)
+    sums = np.zeros(flat.shape)
+    _sparse_sums(np.ascontiguousarray(flat), problem.maps, problem.weights, *problem.incidence, sums)
+    return sums.reshape(c.shape)
+
+
+@numba.njit(cache=True)
+def _sparse_sums(c, maps, weights, start, edge, other, forward, sums):
+    product = np.empty(c.shape[2:])
+    for k in range(c.shape[0]):
+        for node in range(c.shape[1]):
+            total = sums[k, node]
+            for t in range(start[node], start[node + 1]):
+                observation = maps[edge[t]]
+                if forward[t]:
+                    np.dot(c[k, other[t]], observation, product)
+                else:
+                    np.dot(c[k, other[t]], observation.T, product)
+                total += weights[edge[t]] * product
+
+
+def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2` of (..., N, n, n), summed edgewise."""
+    residual = relative_maps(c, problem.edges) - problem.maps
+    return (problem.weights * (residual**2).sum((-2, -1))).sum(-1)
+
+
+def gradient(problem: SyncProblem, c: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
+    r"""Body-frame gradient of ``energy``: :math:`g_j = -2\,\mathrm{skew}(C_j^\top S_j)`, (..., N, n, n)."""
+    sums = neighbour_sums(problem, c) if sums is None else sums
+    return -2 * skew(transpose(c) @ sums)
+
+
+def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
+    r"""Riemannian Hessian of ``energy`` along skew Ω: :math:`-2\,\mathrm{skew}(C_j^\top\dot S_j - \Omega_j\,\mathrm{sym}(C_j^\top S_j))`.
+
+    Ṡ is S at the variation CΩ.
+    """  # noqa: E501
+    sums = neighbour_sums(problem, c) if sums is None else sums
+    moving = neighbour_sums(problem, c @ omega)
+    return -2 * skew(transpose(c) @ moving - omega @ sym(transpose(c) @ sums))
+
+
+def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`; observations are rotations."""
+    return (problem.weights * so.dist(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
+
+
+def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Body-frame gradient of ``geodesic_energy``, (..., N, n, n).
+
+    With :math:`A = C_i^\top C_j` and :math:`\Lambda = \log(C_{ij}^\top A)` an edge adds 2wΛ to g_j and
+    :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
+    """
+    relative = relative_maps(c, problem.edges)
+    pull = 2 * problem.weights[:, None, None] * so.log(transpose(problem.maps) @ relative)  # (..., E, n, n)
+    push = relative @ pull @ transpose(relative)
+    g = np.zeros(c.shape)
+    i, j = problem.edges.T
+    nodes_first = np.moveaxis(g, -3, 0)
+    np.add.at(nodes_first, j, np.moveaxis(pull, -3, 0))
+    np.subtract.at(nodes_first, i, np.moveaxis(push, -3, 0))
+    return g
+
+
+def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r""":math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` for arbitrary matrices C_i; equals ``energy`` on rotations."""
+    i, j = problem.edges.T
+    residual = c[..., i, :, :] @ problem.maps - c[..., j, :, :]
+    return (problem.weights * (residual**2).sum((-2, -1))).sum(-1)
+
+
+def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    r"""Inconsistency :math:`\lVert C_{ij}C_{jk} - C_{ik}\rVert_F` of every 3-cycle i < j < k of the graph.
+
+    Parameters
+    ----------
+    n_nodes, edges, maps
+        As in :class:`SyncProblem`; an edge stored as (j, i) is read as the transpose. Of repeated pairs the last counts.
+
+    Returns
+    -------
+    ndarray
+        (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> fmsync.problem.cycle_error(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    array([0.])
+    """
+    edges, maps = np.asarray(edges), np.asarray(maps, dtype=float)
+    lookup = {(min(i, j), max(i, j)): maps[e] if i < j else maps[e].T for e, (i, j) in enumerate(edges.tolist())}
+    triangles = [
+        (i, j, k) for (i, j) in sorted(lookup) for k in range(j + 1, n_nodes) if (j, k) in lookup and (i, k) in lookup
+    ]
+    errors = [np.linalg.norm(lookup[i, j] @ lookup[j, k] - lookup[i, k]) for i, j, k in triangles]
+    return np.array(errors)
+
+
+def check_rotations(c: np.ndarray, name: str) -> None:
+    """Raise a ValueError naming the first node of (N, n, n) that is not a rotation."""
+    if not np.isfinite(c).all():
+        raise ValueError(f"{name}: node {np.flatnonzero(~np.isfinite(c).all((1, 2)))[0]} holds NaN or infinity")
+    rest = np.abs(transpose(c) @ c - np.eye(c.shape[-1])).max((1, 2))
+    bad = np.flatnonzero((rest > _ORTHOGONALITY_TOLERANCE) | (np.linalg.det(c) < 0))
+    if bad.size:
+        raise ValueError(f"{name}: node {bad[0]} is not a rotation; project it first with fmsync.so.project")
+
+
+def _pair(edge) -> str:
+    return f"({edge[0]}, {edge[1]})"
+
+
+def _validated_edges(n_nodes: int, edges) -> np.ndarray:
+    if isinstance(n_nodes, bool) or int(n_nodes) != n_nodes or n_nodes < 2:
+        raise ValueError(f"n_nodes: need at least two shapes, got {n_nodes}")
+    raw = np.asarray(edges)
+    if raw.ndim != 2 or raw.shape[1] != 2 or len(raw) == 0:
+        raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {raw.shape}")
+    if not np.issubdtype(raw.dtype, np.integer):
+        raise ValueError(f"edges: node numbers must be integers, got {raw.dtype}")
+    array = raw.astype(np.int64)  # a copy
+    bad = np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))
+    if bad.size:
+        raise ValueError(f"edges: edge {bad[0]} {_pair(array[bad[0]])} is out of range for {n_nodes} nodes")
+    bad = np.flatnonzero(array[:, 0] == array[:, 1])
+    if bad.size:
+        raise ValueError(f"edges: edge {bad[0]} {_pair(array[bad[0]])} is a self-loop; remove it")
+    graph = nx.empty_graph(n_nodes)
+    graph.add_edges_from(array.tolist())
+    if not nx.is_connected(graph):
+        parts = [sorted(part) for part in nx.connected_components(graph)]
+        shown = "; ".join(str(part[:8])[1:-1] + (" ..." if len(part) > 8 else "") for part in parts[:6])
+        raise ValueError(
+            f"edges: the graph falls into {len(parts)} components ({shown}{' ...' if len(parts) > 6 else ''}); "
+            "add edges between them or solve each on its own"
+        )
+    return array
