@@ -1,6 +1,47 @@
 # Two commands on a fresh machine:   make book    make test
 PY ?= python3
 V  := .venv
+export PATH := $(CURDIR)/$(V)/bin:$(PATH)
+export PYVISTA_OFF_SCREEN := true
+# the products here are small: BLAS threads only get in each other's way
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+# a folder of shape collections; the chapters use its tosca_cat when it has one
+export FMSYNC_DATA
+JOBS ?= 2
+HTML := _build/html/index.html
+.PHONY: setup book test lint unit notebook-test browser notebooks lab clean
+
+book: setup
+	python scripts/sync_notebooks.py --check
+	python scripts/build_book.py --jobs $(JOBS)
+
+test: lint unit notebook-test browser
+
+lint: setup
+	ruff check .
+	ruff format --check .
+
+unit: setup
+	pytest -q -n $(JOBS) -m "not browser and not slow"
+
+notebook-test: setup
+	pytest -q -n $(JOBS) -o addopts= --nbmake --nbmake-timeout=600 book/notebooks
+
+# last, so that the summary of what was looked at in the browser ends the log
+browser: setup
+	test -f $(HTML) || $(MAKE) book
+	pytest -q -rs -m browser tests/test_book_browser.py
+
+notebooks: setup
+	python scripts/sync_notebooks.py
+
+lab: setup notebooks
+	jupyter lab book/notebooks
+
+clean:
+	rm -rf _build
 
 setup: $(V)/.ok
 $(V)/.ok: requirements.txt pyproject.toml
@@ -9,4 +50,3 @@ $(V)/.ok: requirements.txt pyproject.toml
 	$(V)/bin/uv pip sync -q --python $(V)/bin/python requirements.txt
 	$(V)/bin/uv pip install -q --python $(V)/bin/python --no-deps -e .
 	@touch $@
-.PHONY: setup

@@ -1,0 +1,105 @@
+"""Sphinx extension of this book: pages that need no network, an execution cache that goes stale, notebook links."""
+
+import hashlib
+import importlib.util
+import os
+import shutil
+from pathlib import Path
+
+from sphinx.util.fileutil import copy_asset_file
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# one viewer for every scene of the book; the page that shows it sends the scene (see _static/scene.js)
+_VIEWER_SCRIPT = """
+<style>html, body { overflow: hidden; background: white; }</style>
+<div class="content" hidden></div><div id="scene" style="position:absolute;inset:0"></div>
+<script>
+  // the page scrolls under the wheel; only Ctrl + wheel zooms
+  addEventListener("wheel", (e) => { if (!e.ctrlKey) e.stopImmediatePropagation(); }, { capture: true });
+  addEventListener("message", (e) => {
+    if (e.source !== parent || typeof e.data !== "string") return;
+    OfflineLocalView.load(document.querySelector("#scene"), { base64Str: e.data });
+    const watch = setInterval(() => {
+      if (!document.querySelector("canvas")) return;
+      clearInterval(watch);
+      requestAnimationFrame(() => requestAnimationFrame(() => parent.postMessage("fm-drawn", "*")));
+    }, 50);
+  });
+  addEventListener("load", () => parent.postMessage("fm-ready", "*"));
+</script>
+"""
+
+
+def cache_folder(root: Path = ROOT) -> Path:
+    """Execution cache named by everything a page depends on besides its own cells.
+
+    The library, the problem generator, the committed results, the lock file, the collection in use, and whether
+    scenes can be drawn: jupyter-cache itself looks at the text of the cells only.
+    """
+    from fmsync.viz.scenes import can_render
+
+    digest = hashlib.sha256(f"turnable scenes: {can_render()}".encode())
+    files = [root / "requirements.txt"]
+    for room, pattern in (("fmsync", "*.py"), ("data_gen", "*"), ("results", "*")):
+        files += sorted(p for p in (root / room).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
+    for file in files:
+        digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+    collection = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
+    if collection.is_dir():
+        for file in sorted(collection.iterdir()):
+            stat = file.stat()
+            digest.update(f"{file.name} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+    return root / "_build" / ".jupyter_cache" / digest.hexdigest()[:12]
+
+
+def shared_viewer() -> str:
+    """The vtk.js viewer without a scene of its own."""
+    template = Path(importlib.util.find_spec("trame_vtk").origin).with_name("tools") / "static_viewer.html"
+    return template.read_text(encoding="utf-8").replace("</body>", _VIEWER_SCRIPT + "</body>")
+
+
+def _configure(app, config):
+    os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # read by the kernels this build starts
+    config.nb_execution_cache_path = str(cache_folder())
+    if config.html_theme_options.get("repository_url"):
+        config.html_theme_options |= {"use_repository_button": True, "use_issues_button": True}
+
+
+def _copy_assets(app):
+    if app.builder.format != "html":
+        return
+    static = Path(app.outdir) / "_static"
+    (static / "mathjax").mkdir(parents=True, exist_ok=True)
+    mathjax = Path(importlib.util.find_spec("sphinx-mathjax-offline").submodule_search_locations[0])
+    copy_asset_file(str(mathjax / "static/mathjax/tex-svg-full.js"), str(static / "mathjax"))
+    (static / "viewer.html").write_text(shared_viewer(), encoding="utf-8")
+    shutil.copytree(ROOT / "book" / "notebooks", Path(app.outdir) / "notebooks", dirs_exist_ok=True)
+
+
+def _finish_page(app, pagename, templatename, context, doctree):
+    _drop_thebe(context)
+    name = pagename.rsplit("/", 1)[-1]
+    if (ROOT / "book" / "notebooks" / f"{name}.ipynb").exists() and "</h1>" in context.get("body", ""):
+        href = context["pathto"](f"notebooks/{name}.ipynb", resource=True)
+        link = f'<p class="fm-download"><a href="{href}" download>Download this page as a notebook</a></p>'
+        context["body"] = context["body"].replace("</h1>", "</h1>\n" + link, 1)
+
+
+def _drop_thebe(context):
+    """sphinx-thebe declares its constants twice (a page error) and would call a CDN."""
+
+    def keep(script):
+        body = getattr(script, "attributes", {}).get("body") or ""
+        name = str(getattr(script, "filename", script) or "")
+        return "THEBE_JS_URL" not in body and "sphinx-thebe" not in name
+
+    if "script_files" in context:
+        context["script_files"][:] = [s for s in context["script_files"] if keep(s)]
+
+
+def setup(app):
+    app.connect("config-inited", _configure)
+    app.connect("builder-inited", _copy_assets)
+    app.connect("html-page-context", _finish_page, priority=900)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

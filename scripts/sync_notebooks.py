@@ -1,0 +1,115 @@
+"""Write book/notebooks/*.ipynb, without outputs, from the MyST chapters; --check fails if any differs.
+
+One direction only: the chapters are the source. Cell ids are stable, and prose directives, which Jupyter does not
+render, become plain Markdown that reads well there.
+"""
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+import jupytext
+import nbformat
+
+BOOK = Path(__file__).resolve().parents[1] / "book"
+_FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
+_OPTION = re.compile(r"^:[\w-]+:.*$")
+_ROLES = re.compile(r"\{(?:doc|ref|prf:ref|numref|eq|cite[\w:]*|term)\}`(?:([^`<]+?)\s*<[^`>]+>|([^`]+))`")
+
+
+def chapters(book: Path = BOOK) -> list[Path]:
+    """The executable pages: MyST files with a kernel."""
+    return [md for md in sorted(book.rglob("*.md")) if "kernelspec:" in md.read_text(encoding="utf-8")[:600]]
+
+
+def readable(text: str) -> str:
+    """Markdown that Jupyter shows well: a directive becomes its bold name and its body, options and labels go.
+
+    >>> readable(":::{prf:theorem} Nearest rotation\\n:label: near\\nTake the SVD.\\n:::")
+    '**Theorem (Nearest rotation).**\\n\\nTake the SVD.'
+    >>> readable("(here)=\\n# A title")
+    '# A title'
+    >>> readable("See {eq}`eq-geo` and {doc}`the next chapter <02_so_n>`.")
+    'See (eq-geo) and the next chapter.'
+    """
+    out: list[str] = []
+    open_fences: list[str] = []
+    in_options = False
+    for line in text.split("\n"):
+        start = _FENCE.match(line)
+        if start:
+            open_fences.append(start["fence"])
+            name = start["name"].split(":")[-1].split("-")[0].capitalize()
+            title = start["title"].strip()
+            if start["name"] == "admonition":
+                name, title = title, ""
+            if start["name"] == "math":
+                name = ""
+            if not start["name"].endswith("-end") and name:
+                out += [f"**{name} ({title}).**" if title else f"**{name}.**", ""]
+            in_options = True
+        elif open_fences and line.strip() == open_fences[-1]:
+            open_fences.pop()
+            in_options = False
+        elif (in_options and _OPTION.match(line)) or re.fullmatch(r"\([\w:-]+\)=", line.strip()):
+            continue
+        else:
+            in_options = False
+            out.append(re.sub(r"^\$\$ \([\w:-]+\)$", "$$", line))
+    return _ROLES.sub(_plain, "\n".join(out)).strip("\n")
+
+
+def _plain(role: re.Match) -> str:
+    return role[1] or (f"({role[2]})" if role[0].startswith("{eq}") else role[2])
+
+
+def render(md: Path) -> str:
+    """The notebook of one chapter as the text of its .ipynb file."""
+    notebook = jupytext.read(md)
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
+    for k, cell in enumerate(notebook.cells):
+        cell["id"] = f"{md.stem}-{k:03d}"
+        if cell.cell_type == "code":
+            cell["outputs"], cell["execution_count"] = [], None
+        else:
+            cell["source"] = readable(cell["source"])
+    notebook.nbformat, notebook.nbformat_minor = 4, 5
+    nbformat.validate(notebook)
+    return nbformat.writes(notebook) + "\n"
+
+
+def stale(book: Path = BOOK) -> list[str]:
+    """Names of notebooks that are missing, differ from their chapter, or have lost it."""
+    wanted = {md.stem + ".ipynb": render(md) for md in chapters(book)}
+    found = {p.name: p.read_text(encoding="utf-8") for p in (book / "notebooks").glob("*.ipynb")}
+    return sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
+
+
+def write(book: Path = BOOK) -> None:
+    """Make the notebooks equal to the chapters."""
+    folder = book / "notebooks"
+    folder.mkdir(exist_ok=True)
+    wanted = {md.stem + ".ipynb": md for md in chapters(book)}
+    for old in folder.glob("*.ipynb"):
+        if old.name not in wanted:
+            old.unlink()
+    for name, md in wanted.items():
+        (folder / name).write_text(render(md), encoding="utf-8")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--check", action="store_true", help="change nothing; exit 1 if a notebook is stale")
+    if not parser.parse_args().check:
+        write()
+        return 0
+    bad = stale()
+    if bad:
+        print("stale notebooks (run `make notebooks`):", *bad)
+    return bool(bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

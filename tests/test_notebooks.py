@@ -1,0 +1,93 @@
+"""The generated notebooks equal their chapters, and the generator notices when they do not."""
+
+import importlib.util
+from pathlib import Path
+
+import nbformat
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+_spec = importlib.util.spec_from_file_location("sync_notebooks", ROOT / "scripts" / "sync_notebooks.py")
+sync = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sync)
+
+CHAPTER = """---
+jupytext:
+  text_representation:
+    extension: .md
+    format_name: myst
+kernelspec:
+  display_name: Python 3
+  language: python
+  name: python3
+---
+
+(ch-one)=
+# One
+
+:::{prf:theorem} Nearest rotation
+:label: near
+
+Take the SVD, as in {eq}`eq-svd`.
+:::
+
+::::{admonition} You will learn
+:class: tip
+:::{note}
+Everything.
+:::
+::::
+
+$$
+A = U S V
+$$ (eq-svd)
+
+```{code-cell} ipython3
+:tags: [hide-input]
+1 + 1
+```
+"""
+
+
+@pytest.fixture
+def book(tmp_path):
+    (tmp_path / "chapters").mkdir()
+    (tmp_path / "chapters" / "01_one.md").write_text(CHAPTER, encoding="utf-8")
+    sync.write(tmp_path)
+    return tmp_path
+
+
+def test_committed_notebooks_equal_their_chapters():
+    assert sync.stale() == []
+
+
+def test_an_edited_missing_or_orphaned_notebook_is_stale(book):
+    notebook = book / "notebooks" / "01_one.ipynb"
+    assert sync.stale(book) == []
+    notebook.write_text(notebook.read_text(encoding="utf-8").replace("1 + 1", "1 + 2"), encoding="utf-8")
+    assert sync.stale(book) == ["01_one.ipynb"]
+    notebook.unlink()
+    assert sync.stale(book) == ["01_one.ipynb"]
+    sync.write(book)
+    (book / "notebooks" / "02_gone.ipynb").write_text("{}", encoding="utf-8")
+    assert sync.stale(book) == ["02_gone.ipynb"]
+    sync.write(book)
+    assert sync.stale(book) == []
+
+
+def test_notebook_has_stable_ids_no_outputs_and_the_tags(book):
+    notebook = nbformat.read(book / "notebooks" / "01_one.ipynb", as_version=4)
+    assert [c.id for c in notebook.cells] == [f"01_one-{k:03d}" for k in range(len(notebook.cells))]
+    (code,) = [c for c in notebook.cells if c.cell_type == "code"]
+    assert code.outputs == []
+    assert code.metadata.tags == ["hide-input"]
+
+
+def test_prose_reads_well_without_myst(book):
+    notebook = nbformat.read(book / "notebooks" / "01_one.ipynb", as_version=4)
+    prose = "\n".join(c.source for c in notebook.cells if c.cell_type == "markdown")
+    assert "**Theorem (Nearest rotation).**" in prose
+    assert "**You will learn.**" in prose
+    assert "as in (eq-svd)" in prose
+    for leftover in (":::", ":label:", ":class:", "{prf:", "(ch-one)=", "$$ ("):
+        assert leftover not in prose

@@ -1,0 +1,218 @@
+"""Scenes and figures: what is drawn, what is carried over to the display mesh, what is refused."""
+
+import base64
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from types import SimpleNamespace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from PIL import Image
+
+from fmsync import viz
+from fmsync.viz import scenes
+
+
+def sphere(n_rings=20, radius=1.0, name="ball"):
+    """A closed triangulated sphere by hand."""
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, n_rings + 2)[1:-1], np.arange(2 * n_rings) * np.pi / n_rings)
+    ring = [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]
+    vertices = np.concatenate([np.stack([r.ravel() for r in ring], axis=1), [[0, 0, 1], [0, 0, -1]]])
+    m, k = 2 * n_rings, n_rings
+    faces = []
+    for i in range(m):
+        here, there = i * k, (i + 1) % m * k
+        faces += [[here + j, here + j + 1, there + j] for j in range(k - 1)]
+        faces += [[there + j, here + j + 1, there + j + 1] for j in range(k - 1)]
+        faces += [[m * k, here, there], [m * k + 1, there + k - 1, here + k - 1]]
+    return SimpleNamespace(vertices=radius * vertices, faces=np.array(faces), name=name)
+
+
+def pixels(png):
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def inked(png, panel, panels):
+    """Rows and columns of one panel that are not white: the extent of what is drawn."""
+    image = np.array_split(pixels(png), panels, axis=1)[panel]
+    ink = (image < 250).any(axis=2)
+    return ink.any(axis=1).sum(), ink.any(axis=0).sum()
+
+
+@pytest.fixture
+def no_gl(monkeypatch):
+    monkeypatch.setattr(scenes, "can_render", lambda: False)
+
+
+needs_gl = pytest.mark.skipif(not scenes.can_render(), reason="no OpenGL here")
+
+
+def test_still_without_gl_says_how_to_get_the_turnable_one(no_gl):
+    shown = viz.scene([sphere()], alt="A ball.")
+    assert shown.data is None
+    page = shown._repr_mimebundle_()["text/html"]
+    assert "apt-get install libegl1 libgl1" in page
+    assert 'alt="A ball."' in page
+    assert "iframe" not in page
+
+
+def test_the_still_and_the_turnable_scene_agree_in_size_and_place(monkeypatch):
+    if not scenes.can_render():
+        pytest.skip("no OpenGL here")
+    balls = [sphere(), sphere(radius=0.5)]
+    turnable = viz.scene(balls, alt="Two balls.")
+    monkeypatch.setattr(scenes, "can_render", lambda: False)
+    still = viz.scene(balls, alt="Two balls.")
+    for panel in (0, 1):
+        np.testing.assert_allclose(inked(turnable.png, panel, 2), inked(still.png, panel, 2), rtol=0.04)
+
+
+def test_panels_share_one_scale(no_gl):
+    shown = viz.scene([sphere(), sphere(radius=0.5)], alt="Two balls.")
+    (high, _), (low, _) = inked(shown.png, 0, 2), inked(shown.png, 1, 2)
+    assert low / high == pytest.approx(0.5, rel=0.06)  # perspective brings the larger ball nearer
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_the_named_axis_points_up(no_gl, up):
+    ball = sphere()
+    height = ball.vertices[:, "xyz".index(up)]
+    red_above = np.where(height[:, None] > 0, [1.0, 0, 0], [0, 0, 1.0])
+    image = pixels(viz.scene([ball], [red_above], alt="A ball.", up=up, flat=True).png)
+    top, bottom = np.array_split(image, 2)
+    assert (top[..., 0] > top[..., 2] + 100).sum() > 2 * (top[..., 2] > top[..., 0] + 100).sum()
+    assert (bottom[..., 2] > bottom[..., 0] + 100).sum() > (bottom[..., 0] > bottom[..., 2] + 100).sum()
+
+
+def test_display_mesh_is_small_and_keeps_the_colours():
+    ball = sphere(n_rings=80)  # 12,802 vertices
+    colours = viz.colours_from_coordinates(ball.vertices)
+    vertices, faces, shown, marks = scenes._panel(ball, colours, np.array([5]), "z", 3000)
+    assert len(vertices) <= 3001
+    assert faces.max() < len(vertices)
+    assert vertices.dtype == np.float32
+    np.testing.assert_allclose(shown, 0.1 + 0.45 * (vertices + 1), atol=0.04)
+    np.testing.assert_allclose(marks, ball.vertices[[5]], atol=1e-6)
+
+
+def test_every_vertex_lies_inside_its_panel(no_gl):
+    """A shape far from the origin, long towards the eye: nothing may touch the frame."""
+    long = sphere()
+    long.vertices = long.vertices * [3, 1, 1] + 100
+    image = pixels(viz.scene([long], alt="A long ball.").png)
+    frame = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    assert frame.min() > 250
+
+
+@needs_gl
+def test_turnable_scene_is_a_vtkjs_file_with_one_renderer_a_panel():
+    shown = viz.scene([sphere(), sphere()], alt="Two balls.")
+    state = json.loads(zipfile.ZipFile(io.BytesIO(shown.data)).read("index.json"))
+    renderers = [d for d in state["scene"]["dependencies"] if "Renderer" in d["type"]]
+    cameras = {r["properties"].get("activeCamera") or str(r["calls"]) for r in renderers}
+    assert len([r for r in renderers if "Renderer" in r["type"]]) >= 2
+    assert cameras
+    assert all(a["content"] for a in state["hashes"].values())
+
+
+@needs_gl
+def test_pages_share_the_viewer_and_notebooks_bring_their_own(monkeypatch):
+    shown = viz.scene([sphere()], alt="A ball.")
+    monkeypatch.delenv("FMSYNC_SHARED_VIEWER", raising=False)
+    alone = shown._repr_mimebundle_()["text/html"]
+    monkeypatch.setenv("FMSYNC_SHARED_VIEWER", "1")
+    shared = shown._repr_mimebundle_()["text/html"]
+    assert "<iframe" in alone
+    assert "<iframe" not in shared
+    assert len(alone) - len(shared) > 900_000  # the viewer itself
+    assert base64.b64encode(shown.data).decode() in shared
+
+
+def test_drawing_opens_no_network_connection():
+    """PyVista's own exporter starts a web server and downloads a viewer; ours must not."""
+    code = (
+        "import socket, numpy as np\n"
+        "from types import SimpleNamespace\n"
+        "def refuse(*a, **k): raise OSError('network')\n"
+        "socket.socket.connect = socket.getaddrinfo = socket.socket.bind = refuse\n"
+        "from fmsync import viz\n"
+        "m = SimpleNamespace(vertices=np.eye(4)[:, :3], faces=[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])\n"
+        "viz.scene([m], alt='x')._repr_mimebundle_()\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stderr == ""
+
+
+def test_colour_bar_shows_the_limits_and_the_label(no_gl):
+    ball = sphere()
+    shown = viz.scene([ball], [ball.vertices[:, 2]], alt="A ball.", clim=(-2, 3.5), label="height (m)")
+    assert "−2" in shown.colour_bar
+    assert "3.5" in shown.colour_bar
+    assert "height (m)" in shown.colour_bar
+
+
+def test_marks_are_drawn_in_the_palette(no_gl):
+    image = pixels(viz.scene([sphere()], alt="A ball.", points=[[0, 800]], flat=True).png)
+    wanted = np.array([int(viz.PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)])
+    assert (np.abs(image - wanted).max(axis=2) < 3).sum() > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"meshes": []}, "meshes or alt is empty"),
+        ({"alt": " "}, "meshes or alt is empty"),
+        ({"scalars": []}, "scalars has 0 entries for 1 meshes"),
+        ({"scalars": [np.zeros(3)]}, r"scalars\[0\] has shape \(3,\)"),
+        ({"titles": ["a", "b"]}, "titles has 2 entries"),
+        ({"points": [[0], [1]]}, "points has 2 entries"),
+        ({"up": "x"}, "up is 'x'"),
+        ({"meshes": [SimpleNamespace(vertices=np.zeros((4, 3)), faces=None)]}, r"meshes\[0\] is a point cloud"),
+    ],
+)
+def test_bad_scenes_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        viz.scene(**({"meshes": [sphere()], "alt": "A ball."} | arguments))
+
+
+def test_heatmaps_share_a_symmetric_scale():
+    picture = viz.heatmaps([np.diag([1.0, -4.0]), np.eye(2)], ["a", "b"], alt="Two.", columns=2)
+    image = pixels(picture.png)
+    blue = (np.abs(image - [5, 48, 97]).max(axis=2) < 3).sum()  # RdBu_r at -4: only the first panel's entry
+    assert blue > 500
+    assert (np.abs(image - [103, 0, 31]).max(axis=2) < 3).sum() < blue / 2  # nothing reaches +4 but the colour bar
+
+
+@pytest.mark.parametrize(
+    ("matrices", "titles", "message"),
+    [
+        ([], None, "matrices is empty"),
+        ([np.zeros(3)], None, r"matrices\[0\] has shape \(3,\)"),
+        ([np.eye(2)], ["a", "b"], "2 titles for 1 matrices"),
+    ],
+)
+def test_bad_heatmaps_are_refused(matrices, titles, message):
+    with pytest.raises(ValueError, match=message):
+        viz.heatmaps(matrices, titles, alt="Bad.")
+
+
+def test_picture_carries_its_words_and_closes_its_figure():
+    fig, ax = plt.subplots()
+    ax.plot([0, 1])
+    shown = viz.picture(fig, alt='A "line".')
+    assert fig.number not in plt.get_fignums()
+    assert 'alt="A &quot;line&quot;."' in shown._repr_mimebundle_()["text/html"]
+    with pytest.raises(ValueError, match="alt is empty"):
+        viz.picture(plt.figure(), alt="")
+
+
+def test_colours_follow_position():
+    colours = viz.colours_from_coordinates(sphere().vertices)
+    assert colours.min() == pytest.approx(0.1)
+    assert colours.max() == pytest.approx(1.0)
+    np.testing.assert_allclose(viz.colours_from_coordinates([[1, 2, 3], [1, 2, 4]])[:, :2], 0.1)
