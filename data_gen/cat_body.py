@@ -1,0 +1,126 @@
+"""The cat at rest: a skeleton of joints, and the skin around it as the zero set of one smooth function.
+
+Axes: x towards the nose, y to the cat's left, z up; the trunk and head together are about one unit long. The skin is a
+smooth union of round cones strung along the bones (a metaball surface), so it has no seams where limbs meet the trunk,
+and it is mirror symmetric in the plane y = 0 by construction.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BLEND = 0.016  # length over which neighbouring cones melt into each other
+
+
+@dataclass(frozen=True)
+class Bone:
+    """A rigid piece of the skeleton that turns about ``joint`` (3,) with its ``parent``."""
+
+    name: str
+    parent: str | None
+    joint: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A round cone from ``start`` to ``end``, carried by ``bone``; ``stretch`` scales it along x, y, z."""
+
+    bone: str
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radius_start: float
+    radius_end: float
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+_TAIL = [(-0.36, 0, 0.47), (-0.44, 0, 0.475), (-0.52, 0, 0.465), (-0.60, 0, 0.45), (-0.68, 0, 0.44)]
+_TAIL += [(-0.76, 0, 0.44), (-0.84, 0, 0.45), (-0.91, 0, 0.465)]
+
+_MIDDLE_BONES = [
+    Bone("pelvis", None, (-0.20, 0, 0.43)),
+    Bone("loin", "pelvis", (-0.14, 0, 0.44)),
+    Bone("chest", "loin", (0.03, 0, 0.44)),
+    Bone("neck", "chest", (0.23, 0, 0.47)),
+    Bone("head", "neck", (0.35, 0, 0.565)),
+    *(Bone(f"tail{k}", f"tail{k - 1}" if k else "pelvis", point) for k, point in enumerate(_TAIL[:-1])),
+]
+_LEFT_BONES = [
+    Bone("upper arm", "chest", (0.19, 0.075, 0.37)),
+    Bone("forearm", "upper arm", (0.155, 0.085, 0.235)),
+    Bone("hand", "forearm", (0.185, 0.085, 0.07)),
+    Bone("thigh", "pelvis", (-0.26, 0.07, 0.40)),
+    Bone("shin", "thigh", (-0.205, 0.09, 0.235)),
+    Bone("foot", "shin", (-0.33, 0.085, 0.135)),
+    Bone("toes", "foot", (-0.305, 0.085, 0.03)),
+]
+
+_MIDDLE_CONES = [
+    Cone("pelvis", (-0.27, 0, 0.415), (-0.18, 0, 0.415), 0.095, 0.100, (1, 0.90, 1)),
+    Cone("loin", (-0.18, 0, 0.415), (0.02, 0, 0.405), 0.100, 0.110, (1, 0.90, 1)),
+    Cone("chest", (0.02, 0, 0.405), (0.18, 0, 0.40), 0.110, 0.115, (1, 0.85, 1)),
+    Cone("neck", (0.20, 0, 0.43), (0.34, 0, 0.555), 0.085, 0.070, (1, 0.95, 1)),
+    Cone("head", (0.385, 0, 0.58), (0.405, 0, 0.582), 0.090, 0.085, (1, 1.02, 0.94)),
+    Cone("head", (0.46, 0, 0.558), (0.485, 0, 0.553), 0.046, 0.040, (1, 1.10, 0.85)),  # muzzle
+    *(Cone(f"tail{k}", _TAIL[k], _TAIL[k + 1], 0.034 - 0.001 * k, 0.033 - 0.001 * k) for k in range(len(_TAIL) - 1)),
+]
+_LEFT_CONES = [
+    Cone("upper arm", (0.19, 0.070, 0.38), (0.155, 0.085, 0.235), 0.066, 0.043, (1.1, 0.8, 1)),
+    Cone("forearm", (0.155, 0.085, 0.235), (0.185, 0.085, 0.07), 0.043, 0.031),
+    Cone("hand", (0.185, 0.085, 0.07), (0.195, 0.085, 0.035), 0.031, 0.032),
+    Cone("hand", (0.195, 0.085, 0.032), (0.235, 0.085, 0.030), 0.034, 0.034, (1.05, 1.05, 0.9)),
+    Cone("thigh", (-0.26, 0.060, 0.40), (-0.205, 0.090, 0.235), 0.092, 0.050, (1.05, 0.72, 1)),
+    Cone("shin", (-0.205, 0.090, 0.235), (-0.33, 0.085, 0.135), 0.050, 0.032),
+    Cone("foot", (-0.33, 0.085, 0.135), (-0.310, 0.085, 0.035), 0.031, 0.031),
+    Cone("toes", (-0.305, 0.085, 0.031), (-0.260, 0.085, 0.030), 0.033, 0.034, (1.05, 1.05, 0.9)),
+    Cone("head", (0.375, 0.052, 0.645), (0.368, 0.072, 0.725), 0.042, 0.016, (0.62, 1, 1)),  # ear
+    Cone("head", (0.435, 0.034, 0.560), (0.435, 0.034, 0.560), 0.046, 0.046),  # cheek
+]
+
+
+def _mirrored_point(point):
+    return (point[0], -point[1], point[2])
+
+
+def bones() -> list[Bone]:
+    """All bones, parents before children; paired bones are named ``"left ..."`` and ``"right ..."``."""
+    sides = []
+    for side in ("left", "right"):
+        for bone in _LEFT_BONES:
+            parent = bone.parent if bone.parent in {b.name for b in _MIDDLE_BONES} else f"{side} {bone.parent}"
+            joint = bone.joint if side == "left" else _mirrored_point(bone.joint)
+            sides.append(Bone(f"{side} {bone.name}", parent, joint))
+    return _MIDDLE_BONES + sides
+
+
+def cones() -> list[Cone]:
+    """All round cones of the skin, left and right."""
+    middle_names = {bone.name for bone in _MIDDLE_BONES}
+    sides = []
+    for side in ("left", "right"):
+        for cone in _LEFT_CONES:
+            bone = cone.bone if cone.bone in middle_names else f"{side} {cone.bone}"
+            ends = (cone.start, cone.end) if side == "left" else map(_mirrored_point, (cone.start, cone.end))
+            sides.append(Cone(bone, *ends, cone.radius_start, cone.radius_end, cone.stretch))
+    return _MIDDLE_CONES + sides
+
+
+def cone_distance(points: np.ndarray, cone: Cone) -> np.ndarray:
+    """Signed distance (up to the stretch) of points (..., 3) from one round cone, negative inside."""
+    stretch = np.array(cone.stretch)
+    start, end = np.array(cone.start) / stretch, np.array(cone.end) / stretch
+    offset, axis = points / stretch - start, end - start
+    length2 = axis @ axis
+    along = np.clip(offset @ axis / length2, 0, 1) if length2 > 0 else np.zeros(points.shape[:-1])
+    radius = cone.radius_start + along * (cone.radius_end - cone.radius_start)
+    return (np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius) * stretch.min()
+
+
+def skin(points: np.ndarray) -> np.ndarray:
+    """The implicit function (...,) of points (..., 3): zero on the skin, negative inside.
+
+    f(x) = -b log sum_c exp(-d_c(x) / b) with b = ``BLEND``, the smooth minimum of the distances d_c to all cones.
+    """
+    total = np.zeros(points.shape[:-1])
+    for cone in cones():
+        total += np.exp(-np.clip(cone_distance(points, cone), None, 0.5) / BLEND)
+    return -BLEND * np.log(total)

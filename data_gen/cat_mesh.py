@@ -1,0 +1,141 @@
+"""From the implicit cat to an even triangulation with any number of vertices, mirror symmetric vertex by vertex.
+
+Half of the skin (y >= 0) is contoured finely, covered by a centroidal Voronoi tessellation whose sites either lie in
+the mirror plane or off it, and the dual triangles are mirrored and glued along the plane (approximated centroidal
+Voronoi diagrams: Valette and Chassery 2004).
+"""
+
+import numpy as np
+import pyvista as pv
+from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+
+from data_gen.cat_body import skin
+
+_LOW, _HIGH = np.array([-1.0, 0.0, -0.05]), np.array([0.58, 0.22, 0.78])
+_LLOYD_STEPS = 60
+
+
+def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangulate the cat at rest.
+
+    Returns ``vertices`` (V, 3), ``faces`` (F, 3) and ``mirror`` (V,): the vertex opposite to each vertex. Vertices in
+    the mirror plane come first, then the left ones, then their mirror images in the same order.
+
+    Raises ``ValueError`` when the number of vertices is too small for the ears and the tail.
+    """
+    points, triangles = _half_skin(n_vertices)
+    areas = _vertex_areas(points, triangles)  # (P,)
+    edge = np.sqrt(2 * areas.sum() / n_vertices * 2 / np.sqrt(3))  # of an equilateral triangle of the mean area
+    in_plane = points[:, 1] == 0
+    n_plane = int(round(_boundary_length(points, triangles) / edge))
+    n_plane += (n_vertices - n_plane) % 2
+    n_left = (n_vertices - n_plane) // 2
+
+    labels, sites = _voronoi(points, areas, in_plane, n_plane, n_left, edge)
+    half = _dual_triangles(labels[triangles])
+
+    mirror = np.r_[np.arange(n_plane), n_plane + n_left + np.arange(n_left), n_plane + np.arange(n_left)]
+    faces = np.vstack([half, mirror[half][:, ::-1]])
+    left = sites[n_plane:]
+    vertices = np.vstack([sites, left * [1, -1, 1]])
+    _check_closed(faces, n_vertices)
+    return vertices, faces, mirror
+
+
+def _half_skin(n_vertices):
+    """Contour y >= 0 and refine until every future vertex has a dozen samples; the rim lies exactly in y = 0."""
+    step = 0.008
+    counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
+    grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)
+    surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
+    while surface.n_points < 8 * n_vertices:
+        surface = surface.subdivide(1, "linear")
+    points = np.array(surface.points, dtype=float)
+    points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0
+    points = _onto_skin(points)
+    return points, surface.regular_faces.astype(np.int64)
+
+
+def _onto_skin(points):
+    """Two Newton steps along the gradient; points in the mirror plane stay there."""
+    delta = 1e-5
+    for _ in range(2):
+        gradient = np.stack(
+            [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)], axis=-1
+        )
+        gradient[points[:, 1] == 0, 1] = 0
+        points = points - (skin(points) / (gradient**2).sum(-1))[:, None] * gradient
+    return points
+
+
+def _vertex_areas(points, triangles):
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(points))
+
+
+def _boundary_edges(triangles):
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    return unique[count == 1]
+
+
+def _boundary_length(points, triangles):
+    edges = _boundary_edges(triangles)
+    return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).sum()
+
+
+def _voronoi(points, areas, in_plane, n_plane, n_left, edge):
+    """Lloyd's algorithm; sites [0, n_plane) stay in the mirror plane. Returns labels (P,) and sites (S, 3)."""
+    rng = np.random.default_rng(0)
+    plane, left = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
+    first = np.r_[
+        _farthest(points, plane, n_plane),
+        rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum()),
+    ]
+    sites = points[first]
+    for _ in range(_LLOYD_STEPS):
+        labels = cKDTree(sites).query(points)[1]
+        # samples in the mirror plane belong to sites in the plane: the rim of the half is then a chain of those sites
+        labels[plane] = cKDTree(sites[:n_plane]).query(points[plane])[1]
+        weight = np.bincount(labels, areas, minlength=len(sites))
+        sums = coo_array((areas, (labels, np.arange(len(points)))), shape=(len(sites), len(points))) @ points
+        sites = sums / weight[:, None]
+        sites[:n_plane, 1] = 0
+    sites = _onto_skin(sites)
+    return labels, sites
+
+
+def _farthest(points, candidates, count):
+    """Farthest point sampling of ``count`` of the candidates."""
+    chosen = [candidates[0]]
+    distance = np.linalg.norm(points[candidates] - points[chosen[0]], axis=1)
+    for _ in range(count - 1):
+        chosen.append(candidates[np.argmax(distance)])
+        distance = np.minimum(distance, np.linalg.norm(points[candidates] - points[chosen[-1]], axis=1))
+    return np.array(chosen)
+
+
+def _dual_triangles(corners):
+    """One triangle for every place where three cells meet; a ragged border that is met to and fro cancels out."""
+    distinct = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    corners = corners[distinct]
+    start = np.argmin(corners, axis=1)
+    corners = np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1)
+    upward = corners[:, 1] < corners[:, 2]
+    faces, index = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
+    turns = np.bincount(index, np.where(upward, 1, -1))  # net orientation of each triple
+    faces = np.where((turns > 0)[:, None], faces, faces[:, [0, 2, 1]])
+    return faces[turns != 0]
+
+
+def _check_closed(faces, n_vertices):
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    codes = directed[:, 0] * n_vertices + directed[:, 1]
+    opposite = directed[:, 1] * n_vertices + directed[:, 0]
+    once = len(np.unique(codes)) == len(codes)
+    paired = np.array_equal(np.sort(codes), np.sort(opposite))
+    sphere = n_vertices - len(codes) // 2 + len(faces) == 2 and len(np.unique(faces)) == n_vertices
+    if not (once and paired and sphere):
+        raise ValueError(f"n_vertices = {n_vertices} does not give a closed cat: ask for 1000 vertices or more")

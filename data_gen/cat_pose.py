@@ -1,0 +1,263 @@
+"""Poses: joint angles bend the skeleton, the skin follows as rigidly as it can.
+
+A pose is a mapping ``joint name -> (roll, pitch, yaw)`` in degrees about the x, y and z axes of the resting cat, applied
+at the joint and inherited by everything beyond it. Positive pitch turns the nose down and a hanging leg backwards;
+positive yaw turns the nose to the cat's left. A name without a side ("thigh") moves both legs as mirror images.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import splu
+
+from data_gen.cat_body import Bone, bones, cone_distance, cones
+
+Pose = Mapping[str, tuple[float, float, float]]
+
+_SMOOTHING = 0.022  # length over which skinning weights blend at a joint
+_ARAP_STEPS = 12
+_ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
+
+
+def _tail(pitch, yaw=0.0, curl=0.0):
+    """Every tail joint turned by the same angles; ``curl`` adds pitch towards the tip and takes it at the root."""
+    return {f"tail{k}": (0, pitch + curl * (k - 3), yaw) for k in range(7)}
+
+
+def _pitches(joints, base, *directions, spread=0.0):
+    """Pitch of each joint in a chain so that the pieces point in ``directions`` (degrees from rest, in the world)."""
+    local = np.diff([base, *directions])
+    return {joint: (spread if k == 0 else 0, pitch, 0) for k, (joint, pitch) in enumerate(zip(joints, local))}
+
+
+def _fore(side, base, *directions, spread=0.0):
+    return _pitches([f"{side}upper arm", f"{side}forearm", f"{side}hand"], base, *directions, spread=spread)
+
+
+def _hind(side, base, *directions, spread=0.0):
+    joints = [f"{side}thigh", f"{side}shin", f"{side}foot", f"{side}toes"]
+    return _pitches(joints, base, *directions, spread=spread)
+
+
+def _spine(pelvis, loin, chest, yaw=0.0):
+    return {"pelvis": (0, pelvis, 0), "loin": (0, loin, yaw), "chest": (0, chest, yaw)}
+
+
+POSES: dict[str, Pose] = {
+    "standing": _tail(4),
+    "walking": {
+        **_fore("left ", 0, -24, -20, -8),
+        **_fore("right ", 0, 24, 12, 22),
+        **_hind("left ", 0, 20, 15, 23, 10),
+        **_hind("right ", 0, -24, -12, -8, 0),
+        **_tail(6, 6),
+    },
+    "running": {
+        **_spine(2, -4, -4),
+        **_fore("left ", -6, -62, -58, -40),
+        **_fore("right ", -6, -48, -46, -20),
+        **_hind("left ", 2, 42, 40, 52, 60),
+        **_hind("right ", 2, 30, 34, 44, 50),
+        "neck": (0, 14, 0),
+        **_tail(1, -3),
+    },
+    "gathered": {
+        **_spine(-24, 24, 24),
+        **_fore("left ", 24, 26, 14, 40),
+        **_fore("right ", 24, 14, -5, 20),
+        **_hind("left ", -24, -42, -18, -34, -10, spread=7),
+        **_hind("right ", -24, -32, -8, -24, -6, spread=-7),
+        "neck": (0, -14, 0),
+        "head": (0, -10, 0),
+        **_tail(2, 2),
+    },
+    "sitting": {
+        **_spine(-38, -6, 2),
+        **_fore("", -42, -16, -10, 0, spread=3),
+        **_hind("", -38, -52, -10, -66, -5, spread=8),
+        "neck": (0, 22, 0),
+        "head": (0, 24, 0),
+        **_tail(0, 14),
+    },
+    "stretching": {
+        **_spine(14, 6, 4),
+        **_fore("", 24, -58, -72, -66),
+        **_hind("", 14, 4, 2, 0, 0),
+        "neck": (0, -26, 0),
+        "head": (0, -6, 0),
+        **_tail(12, 0, 2),
+    },
+    "stalking": {
+        **_spine(0, 0, 4),
+        **_fore("left ", 4, 40, -28, 0),
+        **_fore("right ", 4, 18, -50, -12),
+        **_hind("left ", 0, -34, 18, -30, 0),
+        **_hind("right ", 0, -12, 34, -4, 0),
+        "neck": (0, 34, 0),
+        "head": (0, -34, 0),
+        **_tail(-3, -4, 2),
+    },
+    "looking back": {
+        **_spine(0, 0, 0, yaw=14),
+        "neck": (0, -6, 34),
+        "head": (0, 0, 34),
+        **_fore("left ", 0, -6, 0, 0),
+        **_hind("right ", 0, 10, 8, 8, 4),
+        **_tail(11, 5, 2),
+    },
+    "paw raised": {
+        **_spine(-6, 0, 2),
+        **_fore("left ", -4, -62, 20, 60, spread=6),
+        **_fore("right ", -4, 2, 2, 2),
+        **_hind("", -6, -6, 4, -4, 0),
+        "neck": (0, 8, -12),
+        "head": (8, 10, -18),
+        **_tail(8, -8, 3),
+    },
+    "arched": {
+        **_spine(-26, 26, 24),
+        **_fore("", 24, 6, 2, 0),
+        **_hind("", -26, -2, 6, 0, 0),
+        "neck": (0, 6, 10),
+        "head": (0, -6, 14),
+        **_tail(14, 2, -3),
+    },
+    "leaping": {
+        **_spine(-26, -6, 4),
+        **_fore("left ", -28, -84, -40, -20),
+        **_fore("right ", -28, -66, -24, 10),
+        **_hind("left ", -26, 14, 16, 30, 50),
+        **_hind("right ", -26, 0, 8, 20, 44),
+        "neck": (0, 16, 0),
+        **_tail(-4, 5, 2),
+    },
+}
+
+
+def joint_transforms(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone from rest into the pose.
+
+    Raises ``ValueError`` for a joint that the cat does not have.
+    """
+    skeleton = bones()
+    names = [bone.name for bone in skeleton]
+    angles = _both_sides(pose, names)
+    rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
+    for k, bone in enumerate(skeleton):
+        joint = np.array(bone.joint)
+        local = _rotation(*angles.get(bone.name, (0, 0, 0)))
+        offset = joint - local @ joint
+        if bone.parent is None:
+            rotations[k], translations[k] = local, offset
+        else:
+            parent = names.index(bone.parent)
+            rotations[k] = rotations[parent] @ local
+            translations[k] = rotations[parent] @ offset + translations[parent]
+    return rotations, translations
+
+
+def _both_sides(pose, names):
+    angles = {}
+    for name, (roll, pitch, yaw) in pose.items():
+        if name in names:
+            angles[name] = (roll, pitch, yaw)
+        elif f"left {name}" in names:
+            angles[f"left {name}"], angles[f"right {name}"] = (roll, pitch, yaw), (-roll, pitch, -yaw)
+        else:
+            raise ValueError(f"pose: no joint {name!r}; the joints are {', '.join(names)}")
+    return angles
+
+
+def _rotation(roll, pitch, yaw):
+    x, y, z = np.deg2rad([roll, pitch, yaw])
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+class Rig:
+    """A resting mesh ready to be posed: skinning weights and a factorised as-rigid-as-possible system.
+
+    The skin is first carried by blended bone transforms, then relaxed by as-rigid-as-possible iterations (Sorkine and
+    Alexa 2007) in which vertices that clearly belong to one bone are pulled towards their place: joints bend without
+    collapsing and edges keep their lengths.
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
+        self.vertices, self.faces = vertices, faces
+        stiffness, areas = _cotangents(vertices, faces)
+        self.weights = _skinning_weights(vertices, stiffness, areas)  # (V, B)
+        off = stiffness.tocoo()
+        keep = off.row != off.col
+        self._from, self._to = off.row[keep], off.col[keep]  # every edge in both directions
+        self._stiffness = -off.data[keep]
+        self._gather = coo_array(
+            (np.ones(len(self._from)), (self._from, np.arange(len(self._from)))),
+            shape=(len(vertices), len(self._from)),
+        ).tocsr()
+        certainty = np.clip((self.weights.max(axis=1) - 0.6) / 0.4, 0, 1) ** 2
+        self._anchor = _ANCHOR * certainty * stiffness.diagonal()
+        self._solve = splu((stiffness + diags_array(self._anchor)).tocsc(), permc_spec="MMD_AT_PLUS_A").solve
+
+    def pose(self, pose: Pose) -> np.ndarray:
+        """Vertices (V, 3) in the given pose."""
+        rotations, translations = joint_transforms(pose)
+        carried = np.einsum("bij,vj->vbi", rotations, self.vertices) + translations
+        skinned = np.einsum("vb,vbi->vi", self.weights, carried)
+        posed = skinned
+        for _ in range(_ARAP_STEPS):
+            posed = self._global_step(self._local_step(posed), skinned)
+        return posed
+
+    def _local_step(self, posed):
+        """The rotation (V, 3, 3) that best carries the resting edges around each vertex to the posed ones."""
+        rest = self.vertices[self._to] - self.vertices[self._from]
+        now = posed[self._to] - posed[self._from]
+        outer = (self._stiffness[:, None] * now)[:, :, None] * rest[:, None, :]
+        covariance = (self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        u, _, vt = np.linalg.svd(covariance)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        return u @ vt
+
+    def _global_step(self, rotations, skinned):
+        rest = self.vertices[self._from] - self.vertices[self._to]
+        both = 0.5 * (rotations[self._from] + rotations[self._to])
+        pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, rest)
+        return self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
+
+
+def _cotangents(vertices, faces):
+    """Stiffness matrix with non-negative weights (V, V), and vertex areas (V,)."""
+    rows, cols, values = [], [], []
+    corners = vertices[faces]
+    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        cosine = ((corners[:, i] - corners[:, k]) * (corners[:, j] - corners[:, k])).sum(1)
+        rows.append(faces[:, i])
+        cols.append(faces[:, j])
+        values.append(0.5 * cosine / double_area)
+    n = len(vertices)
+    half = coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), shape=(n, n))
+    weights = (half + half.T).tocsr()
+    weights.data = np.maximum(weights.data, 1e-3)  # obtuse pairs would make the energy indefinite
+    areas = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), minlength=n)
+    return (diags_array(weights.sum(axis=1)) - weights).tocsc(), areas
+
+
+def _skinning_weights(vertices, stiffness, areas):
+    """Each vertex starts with the bone of its nearest cone; two heat steps along the surface blend them (V, B)."""
+    names = [bone.name for bone in bones()]
+    skin_cones = cones()
+    nearest = np.argmin([cone_distance(vertices, cone) for cone in skin_cones], axis=0)
+    owner = np.array([names.index(cone.bone) for cone in skin_cones])[nearest]
+    weights = np.eye(len(names))[owner]
+    heat = splu((diags_array(areas) + _SMOOTHING**2 * stiffness).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    for _ in range(2):
+        weights = heat.solve(areas[:, None] * weights)
+    return weights
+
+
+__all__ = ["POSES", "Bone", "Pose", "Rig", "joint_transforms"]

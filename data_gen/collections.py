@@ -1,0 +1,137 @@
+"""Collections of shapes: the synthetic cats, or any folder of meshes."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.cats import cats
+from data_gen.mesh_io import SUFFIXES, read_shape
+from fmsync.shape import Shape
+
+
+def load_collection(
+    source: str | Path | Sequence[str | Path] | None = None,
+    *,
+    count: int = 11,
+    n_vertices: int = 5000,
+    seed: int = 0,
+    symmetric: bool = False,
+) -> list[Shape]:
+    """Shapes of a collection, in natural order of their names (``cat2`` before ``cat10``).
+
+    Parameters
+    ----------
+    source
+        ``"cats"`` for the synthetic cats; a folder of meshes; the name of a folder inside the one that the environment
+        variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
+        TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
+    count, n_vertices, seed, symmetric
+        Of the synthetic cats alone: see ``cats``.
+
+    Raises
+    ------
+    ValueError
+        There is no such collection, or one of its files is refused: see ``read_shape``.
+
+    Examples
+    --------
+    >>> [shape.name for shape in load_collection("cats", count=3, n_vertices=1000)]
+    ['cat0', 'cat1', 'cat2']
+    """
+    if source is None:
+        source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
+    if isinstance(source, str) and source == "cats":
+        return cats(count=count, n_vertices=n_vertices, seed=seed, symmetric=symmetric)
+    files = collection_files(source)
+    return [read_shape(file) for file in files]
+
+
+def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
+    """The mesh files of a folder, a named collection or a list, in the order in which they are loaded."""
+    if not isinstance(source, str | Path):
+        return [Path(file) for file in source]
+    folder = Path(source) if Path(source).is_dir() else _data_folder(str(source))
+    if folder is None:
+        where = os.environ.get("FMSYNC_DATA")
+        looked = f"nor a folder of that name in FMSYNC_DATA={where}" if where else "and FMSYNC_DATA is not set"
+        raise ValueError(f"{source}: neither 'cats' nor a folder, {looked}")
+    files = sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=_natural)
+    if not files:
+        raise ValueError(f"{folder}: no meshes in it; known are {', '.join(SUFFIXES)}")
+    stems = [file.stem for file in files]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            raise ValueError(f"{folder}: several files are called {stem}; give a list of the files you mean")
+    return files
+
+
+def require_common_order(shapes: Sequence[Shape]) -> None:
+    """Refuse shapes that cannot share one vertex order.
+
+    Raises ``ValueError`` naming every shape whose vertex count differs from the first one's.
+    """
+    expected = shapes[0].n_vertices
+    different = [f"{shape.name} ({shape.n_vertices})" for shape in shapes if shape.n_vertices != expected]
+    if different:
+        raise ValueError(
+            f"a common vertex order needs equal vertex counts: {shapes[0].name} has {expected}, not so "
+            f"{', '.join(different)}; give correspondence files instead"
+        )
+
+
+def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np.ndarray]:
+    """Where the points of a common template lie on each shape, from the files ``<name>.vts`` or ``<name>.txt``.
+
+    Line k of a file holds the vertex that corresponds to point k of the template, counted from one in ``.vts`` (as in
+    the remeshed benchmarks of Ren et al. 2018) and from zero in ``.txt``.
+
+    Returns
+    -------
+    list[numpy.ndarray]
+        One (K,) array of vertex indices per shape.
+
+    Raises
+    ------
+    ValueError
+        A file is missing, is not a list of vertex numbers, points outside its shape, or has another length.
+    """
+    found = [_read_correspondence(Path(folder), shape) for shape in shapes]
+    for shape, points in zip(shapes, found):
+        if len(points) != len(found[0]):
+            raise ValueError(f"{shape.name}: {len(points)} template points, {shapes[0].name} has {len(found[0])}")
+    return found
+
+
+def _read_correspondence(folder, shape):
+    for suffix, base in ((".vts", 1), (".txt", 0)):
+        path = folder / f"{shape.name}{suffix}"
+        if path.is_file():
+            break
+    else:
+        raise ValueError(f"{folder}: there is neither {shape.name}.vts nor {shape.name}.txt")
+    try:
+        points = np.array(path.read_text().split(), dtype=np.int64) - base
+    except ValueError:
+        raise ValueError(f"{path}: every line must hold one vertex number") from None
+    if len(points) == 0:
+        raise ValueError(f"{path}: the file is empty")
+    outside = (points < 0) | (points >= shape.n_vertices)
+    if outside.any():
+        line = int(np.argmax(outside))
+        raise ValueError(
+            f"{path}: line {line + 1} names vertex {points[line] + base}; {shape.name} has {shape.n_vertices}"
+        )
+    return points
+
+
+def _data_folder(name: str) -> Path | None:
+    root = os.environ.get("FMSYNC_DATA")
+    folder = Path(root) / name if root else None
+    return folder if folder and folder.is_dir() else None
+
+
+def _natural(path: Path) -> list:
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
