@@ -76,8 +76,9 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     spacing = max((logs[-1] - logs[0]) / (n_energies + 27), 1e-6)
     width = 7 * spacing
     energies = logs[0] + 2 * width + spacing * np.arange(n_energies)
-    weights = np.zeros((n_energies, basis.n))
-    weights[:, 1:] = np.exp(-((energies[:, None] - logs) ** 2) / (2 * width**2))
+    exponents = -((energies[:, None] - logs) ** 2) / (2 * width**2)  # (K, n - 1)
+    exponents -= exponents.max(axis=1, keepdims=True)  # cancels in the average; keeps a narrow window from 0 / 0
+    weights = np.column_stack([np.zeros(n_energies), np.exp(exponents)])  # the constant function says nothing
     return _squares_averaged(basis, weights)
 
 

@@ -67,7 +67,8 @@ def functional_map_from_descriptors(
     Free, the minimum is closed row by row, and directions about which nothing is known are left at zero. On SO(n)
     it is closed without the second term (orthogonal Procrustes, det +1). With it, the norms ‖CB‖ and ‖C Λ‖ are
     constant, so it is the maximum of a convex function, reached by projecting its gradient again and again
-    (:math:`C \leftarrow \Pi(A B^\top + w' \Lambda_i C \Lambda_j)`), which climbs at every step to a local maximum.
+    (:math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)` with :math:`w' = w \lVert B \rVert_F^2 /
+    \lambda_{\max}^2`), which never descends and ends in a local maximum.
 
     Parameters
     ----------

@@ -10,7 +10,10 @@ import numpy as np
 import robust_laplacian
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import splu
+
+from fmsync._lanczos import largest_eigenpairs
+from fmsync._threads import single_threaded_blas
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     Solves :math:`K \Phi = A \Phi \Lambda` with the cotangent stiffness K and the lumped (barycentric) mass A. Meshes
     with an edge in more than two faces or a degenerate face, and point clouds, take K and A from the intrinsic-Delaunay
     Laplacian of Sharp & Crane (2020) instead. The same input gives the same bits; the entry of largest magnitude of
-    each eigenfunction is positive, a rule that says nothing about signs on *another* shape.
+    each eigenfunction is positive. That rule settles no sign on *another* shape, and on a symmetric shape it is a tie.
 
     Parameters
     ----------
@@ -198,14 +201,12 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
         diag_pivot_thresh=0,
         options={"SymmetricMode": True},
     )
-    root = np.sqrt(mass)  # (V,)
-    inverse = LinearOperator(stiffness.shape, lambda y: root * factor.solve(root * y.ravel()), dtype=np.float64)
-    start = np.random.default_rng(0).standard_normal(n_vertices)  # fixed: ARPACK's own would change from run to run
-    values, vectors = eigsh(inverse, k=n_basis, which="LA", v0=start, tol=1e-10)
+    root = np.sqrt(mass)[:, None]  # (V, 1)
+    with single_threaded_blas():
+        values, vectors = largest_eigenpairs(lambda y: root * factor.solve(root * y), n_vertices, n_basis)
 
-    order = np.argsort(-values)
-    eigenvalues = np.maximum(1 / values[order] - 1, 0.0)  # round-off may put the zero at -1e-13
-    eigenfunctions = vectors[:, order] / root[:, None]  # (V, n)
+    eigenvalues = np.maximum(1 / values - 1, 0.0)  # round-off may put the zero at -1e-13
+    eigenfunctions = vectors / root  # (V, n)
     peak = np.abs(eigenfunctions).argmax(axis=0)  # (n,)
     eigenfunctions *= np.sign(eigenfunctions[peak, np.arange(n_basis)])
     return Basis(eigenvalues, eigenfunctions, mass)
