@@ -4,6 +4,7 @@ import difflib
 import importlib
 import inspect
 import pkgutil
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -51,6 +52,8 @@ class Estimate:
         :class:`Trace`, or None for direct methods.
     on_group
         Whether ``absolute`` are rotations; unconstrained estimates are not.
+    n_starts, n_agreeing
+        With ``restarts=k``: how many starts were made, and how many of them came to this cost.
     """
 
     problem: SyncProblem
@@ -61,6 +64,8 @@ class Estimate:
     converged: bool = True
     trace: Trace | None = None
     on_group: bool = True
+    n_starts: int = 1
+    n_agreeing: int = 1
 
     @classmethod
     def from_absolute(cls, problem: SyncProblem, absolute: np.ndarray, method: str, **fields) -> "Estimate":
@@ -112,6 +117,7 @@ def solve(
     *,
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
+    restarts: int | None = None,
     **options,
 ) -> Estimate:
     """Estimate the absolute maps of a problem; BLAS runs single-threaded meanwhile, which small products like.
@@ -125,14 +131,22 @@ def solve(
     rng
         Seed or generator: same seed, same answer.
     callback
-        Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after every accepted step of an
+        Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each accepted step of an
         iterative method; direct methods call it once.
+    restarts
+        Number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest answer is
+        returned, and its ``n_agreeing`` counts the starts that came to its cost.
     options
         Passed to the estimator; an unknown option is refused with the list of known ones.
 
     Returns
     -------
     Estimate
+
+    Warns
+    -----
+    RuntimeWarning
+        The method stopped before its tolerance was met; ``converged`` is then False.
 
     Raises
     ------
@@ -143,8 +157,8 @@ def solve(
     --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> fmsync.solve(p, "mle").cost
-    0.0
+    >>> fmsync.solve(p, "mle").cost < 1e-20
+    True
     """
     names = methods()
     if method not in _REGISTRY:
@@ -156,8 +170,18 @@ def solve(
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
+    generator = np.random.default_rng(rng)
+    if restarts is not None:
+        if "init" not in known:
+            raise ValueError(f"restarts: {method!r} has no starting point to vary; leave restarts out")
+        return best_of_starts(problem, method, restarts, generator, callback=callback, **options)
     with single_threaded_blas():
-        return function(problem, rng=np.random.default_rng(rng), callback=callback or _nothing, **options)
+        estimate = function(problem, rng=generator, callback=callback or _nothing, **options)
+    if not estimate.converged:
+        left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
+        message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+    return estimate
 
 
 def starting_point(problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator) -> np.ndarray:
@@ -177,3 +201,6 @@ def starting_point(problem: SyncProblem, init: str | np.ndarray | Estimate, rng:
 
 def _nothing(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
     """The callback of a caller who gave none."""
+
+
+from fmsync.estimators.restarts import best_of_starts, mean_of_starts  # noqa: E402, F401  (needs solve, above)
