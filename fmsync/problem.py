@@ -244,7 +244,7 @@ def _sparse_sums(c, maps, weights, start, edge, other, forward, sums):
 
 
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
-    r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2` of (..., N, n, n), summed edgewise."""
+    r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
     residual = relative_maps(c, problem.edges) - problem.maps
     return (problem.weights * (residual**2).sum((-2, -1))).sum(-1)
 
@@ -266,7 +266,7 @@ def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.nda
 
 
 def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
-    r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`; observations are rotations."""
+    r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` (maps are rotations)."""
     return (problem.weights * so.dist(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
 
 
@@ -295,12 +295,13 @@ def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 
 
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    r"""Inconsistency :math:`\lVert C_{ij}C_{jk} - C_{ik}\rVert_F` of every 3-cycle i < j < k of the graph.
+    r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
     Parameters
     ----------
     n_nodes, edges, maps
-        As in :class:`SyncProblem`; an edge stored as (j, i) is read as the transpose. Of repeated pairs the last counts.
+        As in :class:`SyncProblem`. A direction that no edge observes is read as the transpose of the other one, which
+        only rotations justify; of repeated edges the last counts.
 
     Returns
     -------
@@ -313,13 +314,14 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     >>> fmsync.problem.cycle_error(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     array([0.])
     """
-    edges, maps = np.asarray(edges), np.asarray(maps, dtype=float)
-    lookup = {(min(i, j), max(i, j)): maps[e] if i < j else maps[e].T for e, (i, j) in enumerate(edges.tolist())}
-    triangles = [
-        (i, j, k) for (i, j) in sorted(lookup) for k in range(j + 1, n_nodes) if (j, k) in lookup and (i, k) in lookup
-    ]
-    errors = [np.linalg.norm(lookup[i, j] @ lookup[j, k] - lookup[i, k]) for i, j, k in triangles]
-    return np.array(errors)
+    pairs, maps = np.asarray(edges).tolist(), np.asarray(maps, dtype=float)
+    lookup = {(j, i): c.T for (i, j), c in zip(pairs, maps)} | {(i, j): c for (i, j), c in zip(pairs, maps)}
+    later = {i: set() for i in range(n_nodes)}  # neighbours with a greater number
+    for i, j in pairs:
+        later[min(i, j)].add(max(i, j))
+    triangles = [(i, j, k) for i in later for j in sorted(later[i]) for k in sorted(later[i] & later[j])]
+    identity = np.eye(maps.shape[-1])
+    return np.array([np.linalg.norm(lookup[i, j] @ lookup[j, k] @ lookup[k, i] - identity) for i, j, k in triangles])
 
 
 def check_rotations(c: np.ndarray, name: str) -> None:

@@ -71,9 +71,9 @@ def project(a: np.ndarray) -> np.ndarray:
     >>> import numpy as np
     >>> from fmsync import so
     >>> so.project(np.diag([3.0, 2.0, -1.0]))
-    array([[ 1.,  0.,  0.],
-           [ 0.,  1.,  0.],
-           [ 0.,  0.,  1.]])
+    array([[1., 0., 0.],
+           [0., 1., 0.],
+           [0., 0., 1.]])
     """
     u, _, vt = np.linalg.svd(a)
     determinant = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # (...)
