@@ -38,7 +38,7 @@ def execute(page: Path, folder: Path) -> str | None:
         return None
     except KeyError:
         pass
-    result = single_nb_execution(notebook, cwd=str(page.parent), timeout=300)
+    result = single_nb_execution(notebook, cwd=str(page.parent), timeout=300, allow_errors=False)
     if result.err:
         return f"{page.name} failed after {result.time:.1f} s\n{result.exc_string}"
     bundle = CacheBundleIn(notebook, str(page), data={"execution_seconds": result.time})
