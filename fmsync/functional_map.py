@@ -52,7 +52,7 @@ def functional_map_from_descriptors(
     descriptors_i: np.ndarray,
     descriptors_j: np.ndarray,
     orthogonal: bool = False,
-    commutativity: float = 1e-2,
+    commutativity: float = 1e-3,
 ) -> np.ndarray:
     r"""Functional map that takes the descriptors of shape j to those of shape i.
 
