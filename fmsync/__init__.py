@@ -12,6 +12,7 @@ _HOME = {  # public name -> the room it lives in
     "Basis": "shape",
     "Estimate": "estimators",
     "LangevinPrior": "problem",
+    "Posterior": "samplers",
     "Shape": "shape",
     "SyncProblem": "problem",
     "expected_rms_error": "bounds",
@@ -20,6 +21,7 @@ _HOME = {  # public name -> the room it lives in
     "methods": "estimators",
     "point_map": "functional_map",
     "relative_error_bound": "bounds",
+    "sample": "samplers",
     "solve": "estimators",
 }
 _ROOMS = {"bounds", "diagnostics", "estimators", "oracle", "problem", "samplers", "shape", "so"}
@@ -43,4 +45,4 @@ def __dir__():
 
 
 # The room and the function share a name. Loading the room here, once, leaves the function under it for good.
-from fmsync.functional_map import functional_map  # noqa: E402
+from fmsync.functional_map import functional_map  # noqa: E402, F401

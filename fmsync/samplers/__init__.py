@@ -1,0 +1,303 @@
+"""Posterior draws: every sampler is one file here, registered by name, called through :func:`sample`.
+
+A sampler is a class made as ``Sampler(problem, start, rng, prior, **options)`` from rotations ``start`` (K, N, n, n), K
+chains that advance as one batch. It offers
+
+- ``step(warming)``: one transition of all chains; it may adapt itself while ``warming`` is true, never after;
+- ``state`` (K, N, n, n): where the chains are, without helper nodes;
+- ``draw()`` (K, N, n, n): the same as rotations;
+- ``energy()`` (K,): its potential U there, without the temperature; ``ceiling`` (K,): energies no sound chain reaches;
+- ``kappa`` (K,): the concentration of the observations; ``settings``: plain values it chose or was given;
+- ``advice``: what to do when a chain diverges.
+"""
+
+import difflib
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from tqdm.auto import tqdm
+
+from fmsync import so
+from fmsync._threads import single_threaded_blas
+from fmsync.estimators import Estimate, solve, starting_point
+from fmsync.problem import LangevinPrior, SyncProblem, anchored, relative_maps
+
+Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains, N, n, n), energy (chains,))
+
+_REGISTRY: dict[str, type] = {}
+_CHECK_EVERY = 50  # warm-up steps between two looks at the energy
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    r"""Draws of the absolute maps; only what does not change under :math:`C_i \to Q C_i` means anything.
+
+    Attributes
+    ----------
+    method
+        Registered name of the sampler.
+    absolute
+        (chains, draws, N, n, n) rotations in whatever gauge the chains were.
+    energy
+        (chains, draws) potential U of every draw, without the temperature.
+    kappa
+        (chains, draws) concentration of the observations.
+    interrupted
+        Whether Ctrl-C ended the run early; the draws before it are kept.
+    settings
+        Plain values the sampler ran with: step, warm-up, thinning, ...
+    """
+
+    problem: SyncProblem
+    method: str
+    absolute: np.ndarray
+    energy: np.ndarray
+    kappa: np.ndarray
+    interrupted: bool
+    settings: Mapping[str, object]
+
+    @property
+    def n_chains(self) -> int:
+        """Number of chains."""
+        return self.absolute.shape[0]
+
+    @property
+    def n_draws(self) -> int:
+        """Draws kept of each chain."""
+        return self.absolute.shape[1]
+
+    def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
+        r"""Relative maps :math:`C_i^\top C_j` of every draw, (chains, draws, E, n, n).
+
+        ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
+        """
+        return relative_maps(self.absolute, self._edges(edges))
+
+    def relative_mean(self, edges: np.ndarray | None = None, *, distance: str = "chordal") -> np.ndarray:
+        """Fréchet mean over all draws of the relative maps, (E, n, n): independent of every gauge.
+
+        Parameters
+        ----------
+        edges
+            (E, 2) pairs, by default the problem's own.
+        distance
+            ``"chordal"``: nearest rotation to the arithmetic mean. ``"geodesic"``: see :func:`fmsync.so.frechet_mean`.
+        """
+        edges = self._edges(edges)
+        n = self.problem.n
+        if distance == "geodesic":
+            means = [so.frechet_mean(self.relative(edge[None]).reshape(-1, n, n)) for edge in edges]
+            return np.stack(means)
+        if distance != "chordal":
+            raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
+        # one product per pair over all draws at once, and no (draws, E, n, n) array
+        stacked = {k: self.absolute[:, :, k].reshape(-1, n) for k in np.unique(edges)}  # (draws n, n)
+        return so.project(np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws))
+
+    def summary(self) -> pd.DataFrame:
+        """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
+        from fmsync.diagnostics import summary
+
+        return summary(self)
+
+    def _edges(self, edges: np.ndarray | None) -> np.ndarray:
+        return self.problem.edges if edges is None else np.asarray(edges)
+
+
+def sampler(name: str) -> Callable[[type], type]:
+    """Register a sampler class under a name."""
+
+    def register(kind: type) -> type:
+        _REGISTRY[name] = kind
+        return kind
+
+    return register
+
+
+def methods() -> list[str]:
+    """Names that :func:`sample` knows.
+
+    Examples
+    --------
+    >>> import fmsync
+    >>> "rlfm" in fmsync.samplers.methods()
+    True
+    """
+    for package in (__name__, "fmsync.bench.peers"):
+        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+            importlib.import_module(f"{package}.{module.name}")
+    return sorted(_REGISTRY)
+
+
+def sample(
+    problem: SyncProblem,
+    method: str = "rlfm",
+    *,
+    rng: int | np.random.Generator = 0,
+    n_chains: int = 4,
+    n_draws: int = 1000,
+    warmup: int = 1000,
+    thin: int = 1,
+    init: str | np.ndarray | Estimate = "spectral",
+    prior: LangevinPrior | None = None,
+    callback: Callback | None = None,
+    **options,
+) -> Posterior:
+    r"""Draw the absolute maps from their posterior :math:`\propto\exp(-\beta U(C))`, all chains as one batch.
+
+    Parameters
+    ----------
+    problem
+        What was observed.
+    method
+        A name of :func:`methods`.
+    rng
+        Seed or generator: same seed, same draws.
+    n_chains, n_draws
+        Chains, and draws kept of each.
+    warmup, thin
+        Steps thrown away before the first draw; steps from one draw to the next.
+    init
+        Where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``, every other
+        chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for all chains,
+        or (chains, N, n, n); an :class:`~fmsync.Estimate` on the group.
+    prior
+        Langevin prior on the absolute maps; it fixes the gauge.
+    callback
+        Called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where the chains
+        are: not rotations in an unconstrained chain. Do not change it.
+    options
+        Passed to the sampler; an unknown option is refused with the list of known ones.
+
+    Returns
+    -------
+    Posterior
+        With fewer draws and ``interrupted`` set after Ctrl-C (which goes through if there is no draw yet).
+
+    Raises
+    ------
+    ValueError
+        Unknown method or option, counts below one, a start of wrong shape or off the group (names the node).
+    RuntimeError
+        A chain diverged; the message names a step to try.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    >>> post = fmsync.sample(p, "rlfm", n_chains=2, n_draws=50, warmup=20, rng=0)
+    >>> post.absolute.shape, post.relative_mean().shape
+    ((2, 50, 3, 4, 4), (3, 4, 4))
+    """
+    kind = _lookup(method, options)
+    for name, count, least in (
+        ("n_chains", n_chains, 1),
+        ("n_draws", n_draws, 1),
+        ("warmup", warmup, 0),
+        ("thin", thin, 1),
+    ):
+        if isinstance(count, bool) or int(count) != count or count < least:
+            raise ValueError(f"{name}: an integer >= {least}, got {count}")
+    rng = np.random.default_rng(rng)
+    with single_threaded_blas():
+        start = _starts(problem, init, n_chains, rng)
+        engine = kind(problem, start, rng, prior, **options)
+        absolute, energies, kappas = _run(engine, n_draws, warmup, thin, callback or _nothing)
+    settings = {"warmup": int(warmup), "thin": int(thin), **engine.settings}
+    interrupted = absolute.shape[1] < n_draws
+    return Posterior(problem, method, absolute, energies, kappas, interrupted, settings)
+
+
+def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback) -> tuple[np.ndarray, ...]:
+    """Draws (K, T, N, n, n), energies (K, T) and concentrations (K, T); T < n_draws after Ctrl-C."""
+    state = engine.state
+    absolute = np.empty((len(state), n_draws, *state.shape[1:]))
+    energies, kappas = np.empty(absolute.shape[:2]), np.empty(absolute.shape[:2])
+    done = 0
+    with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
+        try:
+            for k in range(warmup):
+                engine.step(warming=True)
+                bar.update()
+                if (k + 1) % _CHECK_EVERY == 0:
+                    _check(engine)
+            while done < n_draws:
+                for _ in range(thin):
+                    engine.step(warming=False)
+                    bar.update()
+                energies[:, done] = _check(engine)
+                absolute[:, done], kappas[:, done] = engine.draw(), engine.kappa
+                callback(done, engine.state, energies[:, done])
+                done += 1
+        except KeyboardInterrupt:
+            if done == 0:
+                raise
+    return absolute[:, :done], energies[:, :done], kappas[:, :done]
+
+
+def _check(engine) -> np.ndarray:
+    """Energies (K,) of the chains; a RuntimeError when one of them is where no sound chain goes."""
+    energy = engine.energy()
+    bad = np.flatnonzero(~(energy <= engine.ceiling))
+    if bad.size:
+        raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {engine.advice}")
+    return energy
+
+
+def concentration(kappa: float | None, beta: float | None) -> float:
+    """κ from κ or β, of which one at most is given: κ = 2β, and β = 1 where neither is."""
+    if kappa is not None and beta is not None:
+        raise ValueError("kappa, beta: give one of them, they are the same temperature (kappa = 2 beta)")
+    name, value = ("kappa", kappa) if kappa is not None else ("beta", 1.0 if beta is None else beta)
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be finite and > 0, got {value}")
+    return float(value) if name == "kappa" else 2.0 * float(value)
+
+
+def with_anchor(
+    problem: SyncProblem, start: np.ndarray, prior: LangevinPrior | None, kappa: float
+) -> tuple[SyncProblem, np.ndarray]:
+    """Write the prior as edges from one more node, the last, that is held at I; without a prior change nothing."""
+    if prior is None:
+        return problem, start
+    anchor = np.broadcast_to(np.eye(problem.n), (len(start), 1, problem.n, problem.n))
+    return anchored(problem, prior, kappa), np.concatenate([start, anchor], axis=1)
+
+
+def _lookup(method: str, options: Mapping[str, object]) -> type:
+    names = methods()
+    if method not in _REGISTRY:
+        close = difflib.get_close_matches(method, names)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
+        raise ValueError(f"method: no sampler is called {method!r}; {hint}")
+    kind = _REGISTRY[method]
+    known = [name for name in inspect.signature(kind).parameters if name not in ("problem", "start", "rng", "prior")]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
+    return kind
+
+
+def _starts(problem: SyncProblem, init, n_chains: int, rng: np.random.Generator) -> np.ndarray:
+    """Rotations (K, N, n, n), one start for each chain."""
+    if isinstance(init, str) and init in ("random", "dispersed"):
+        starts = so.random_uniform(problem.n, (n_chains, problem.n_nodes), rng)
+        if init == "dispersed":
+            starts[::2] = solve(problem, "mle", rng=rng).absolute
+        return starts
+    if isinstance(init, str) and init != "spectral":
+        raise ValueError(f"init: 'spectral', 'random', 'dispersed', rotations or an Estimate, not {init!r}")
+    if not isinstance(init, str | Estimate) and np.ndim(init) == 4:
+        if len(init) != n_chains:
+            raise ValueError(f"init: {len(init)} starts for {n_chains} chains")
+        return np.stack([starting_point(problem, start, rng) for start in init])
+    return np.stack([starting_point(problem, init, rng)] * n_chains)
+
+
+def _nothing(draw: int, state: np.ndarray, energy: np.ndarray) -> None:
+    """The callback of a caller who gave none."""

@@ -1,0 +1,90 @@
+"""Did the chains agree, and how many independent draws are there: R-hat and ESS of gauge-invariant scalars."""
+
+import numpy as np
+import pandas as pd
+from arviz_stats.base import array_stats
+
+from fmsync.samplers import Posterior
+
+_MAX_PAIRS = 10
+
+
+def rhat(values: np.ndarray) -> float:
+    """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, tell the same story.
+
+    Near 1 is necessary, not sufficient; above 1.01 do not trust the draws (Vehtari et al. 2021). NaN for values that
+    do not vary or for fewer than four draws.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fmsync import diagnostics
+    >>> noise = np.random.default_rng(0).standard_normal((4, 500))
+    >>> diagnostics.rhat(noise) < 1.01 < diagnostics.rhat(noise + np.arange(4)[:, None])
+    True
+    """
+    values = _checked(values)
+    return float(array_stats.rhat(values)) if _varies(values) else np.nan
+
+
+def ess(values: np.ndarray, kind: str = "bulk") -> float:
+    """Effective sample size of (chains, draws): ``kind`` "bulk" for the middle of the law, "tail" for its quantiles.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fmsync import diagnostics
+    >>> walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 500)), axis=1)
+    >>> diagnostics.ess(walk) < 50
+    True
+    """
+    if kind not in ("bulk", "tail"):
+        raise ValueError(f"kind: 'bulk' or 'tail', not {kind!r}")
+    values = _checked(values)
+    return float(array_stats.ess(values, method=kind)) if _varies(values) else np.nan
+
+
+def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Gauge-invariant scalars of every draw, each (chains, draws): the energy, and of some relative maps two numbers.
+
+    ``edges`` (E, 2) are the pairs whose trace and first entry are watched; by default ten at most of the problem's own.
+    """
+    if edges is None:
+        distinct = np.unique(post.problem.edges, axis=0)
+        edges = distinct[np.linspace(0, len(distinct) - 1, min(_MAX_PAIRS, len(distinct))).astype(int)]
+    values = {"energy": post.energy}
+    for i, j in np.asarray(edges).tolist():
+        first, second = post.absolute[:, :, i], post.absolute[:, :, j]
+        values[f"tr C[{i},{j}]"] = np.einsum("ktab,ktab->kt", first, second)
+        values[f"C[{i},{j}][0,0]"] = np.einsum("kta,kta->kt", first[..., 0], second[..., 0])
+    return values
+
+
+def summary(post: Posterior, edges: np.ndarray | None = None) -> pd.DataFrame:
+    """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
+    >>> fmsync.sample(p, n_chains=2, n_draws=100, warmup=50).summary().columns.tolist()
+    ['mean', 'sd', 'r_hat', 'ess_bulk', 'ess_tail']
+    """
+    rows = {
+        name: (x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for name, x in scalars(post, edges).items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["mean", "sd", "r_hat", "ess_bulk", "ess_tail"])
+
+
+def _checked(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, dtype=float)
+    if values.ndim != 2:
+        raise ValueError(f"values: expected (chains, draws), got shape {values.shape}")
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        raise ValueError(f"values: chain {bad[0][0]}, draw {bad[0][1]} is not finite")
+    return values
+
+
+def _varies(values: np.ndarray) -> bool:
+    return values.shape[1] >= 4 and np.ptp(values) > 0

@@ -1,0 +1,62 @@
+"""From posterior draws of a functional map to where a vertex may go."""
+
+import numpy as np
+
+from fmsync.functional_map import _nearest
+from fmsync.shape import Basis
+
+
+def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
+    r"""Images on shape j of one vertex of shape i under every draw of C_ij.
+
+    The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
+
+    Parameters
+    ----------
+    relative_draws
+        (K, n_i, n_j) draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
+    basis_i, basis_j
+        Bases of the two shapes.
+    vertex
+        Vertex of shape i.
+
+    Returns
+    -------
+    ndarray
+        (K,) vertices of shape j.
+
+    Raises
+    ------
+    ValueError
+        Draws that do not fit the bases, or a vertex outside shape i.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> from fmsync.shape import Basis
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> fmsync.uncertainty.vertex_images(np.stack([np.eye(2), np.diag([1.0, -1.0])]), basis, basis, 0)
+    array([0, 1])
+    """
+    relative_draws = np.asarray(relative_draws, dtype=float)
+    if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
+        raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
+    if not 0 <= vertex < basis_i.n_vertices:
+        raise ValueError(f"vertex: {vertex} is outside the vertices 0..{basis_i.n_vertices - 1} of shape i")
+    return _nearest(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
+
+
+def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
+    """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws.
+
+    Examples
+    --------
+    >>> from fmsync import uncertainty
+    >>> uncertainty.image_density([2, 0, 2], 4)
+    array([1, 0, 2, 0])
+    """
+    images = np.asarray(images)
+    bad = np.flatnonzero((images < 0) | (images >= n_vertices))
+    if bad.size:
+        raise ValueError(f"images[{bad[0]}] = {images[bad[0]]} is outside the vertices 0..{n_vertices - 1}")
+    return np.bincount(images, minlength=n_vertices)
