@@ -178,7 +178,7 @@ def scene(
     across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ _AXES).T
     aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6))  # of one panel
     # every vertex inside its panel, and room for the title
-    distance = 1.1 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
+    distance = 1.16 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
     size = (_PIXELS, round(_PIXELS / columns / aspect) * rows)
 
     draw = _draw_vtk if can_render() else _draw_still
