@@ -15,6 +15,7 @@ _HOME = {  # public name -> the room it lives in
     "Posterior": "samplers",
     "Shape": "shape",
     "SyncProblem": "problem",
+    "certify": "certificate",
     "expected_rms_error": "bounds",
     "functional_map_from_descriptors": "functional_map",
     "laplace_beltrami": "shape",
@@ -24,8 +25,20 @@ _HOME = {  # public name -> the room it lives in
     "sample": "samplers",
     "solve": "estimators",
 }
-_ROOMS = {"bounds", "diagnostics", "estimators", "oracle", "problem", "samplers", "shape", "so"}
-_ROOMS |= {"uncertainty", "viz"}
+_ROOMS = {
+    "bounds",
+    "certificate",
+    "diagnostics",
+    "estimators",
+    "langevin",
+    "oracle",
+    "problem",
+    "samplers",
+    "shape",
+    "so",
+    "uncertainty",
+    "viz",
+}
 
 __all__ = sorted([*_HOME, "functional_map"])
 

@@ -7,6 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from fmsync import so
+from fmsync.langevin import mean_cosine
 from fmsync.problem import SyncProblem
 
 _MOMENT_SAMPLES = 4000  # relative standard error of w_F at n = 20: 4e-4
@@ -94,6 +95,43 @@ def relative_error_bound(
     """
     _check_sigma2(sigma2)
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
+
+
+def langevin_error_bound(
+    n_nodes: int, edges: np.ndarray, n: int, kappa: float, pairs: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Small-error floor :math:`d^2 R_{ij} / (d\,\kappa\beta_n(\kappa))` under matrix-Langevin noise.
+
+    :math:`\kappa\beta_n(\kappa)` is the Fisher information of one observation per dimension of SO(n), d = n(n-1)/2;
+    :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`.
+
+    Parameters
+    ----------
+    n_nodes, edges, n, pairs
+        As in :func:`relative_error_bound`.
+    kappa
+        Concentration of the observations, > 0.
+
+    Returns
+    -------
+    ndarray
+        (K,) floors of the mean *squared* Frobenius error.
+
+    Raises
+    ------
+    ValueError
+        The concentration is not in (0, 1e5].
+
+    Examples
+    --------
+    >>> from fmsync.bounds import langevin_error_bound
+    >>> langevin_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, kappa=100.0).round(4)
+    array([0.0201, 0.0201, 0.0201])
+    """
+    if not kappa > 0:
+        raise ValueError(f"kappa: the concentration of the observations must be > 0, got {kappa}")
+    information = kappa * mean_cosine(n, kappa)
+    return n * (n - 1) / 2 / information * effective_resistance(n_nodes, edges, pairs)
 
 
 def expected_rms_error(

@@ -49,6 +49,25 @@ def test_the_floor_is_cramer_rao_on_a_tree():
     np.testing.assert_allclose(fmsync.relative_error_bound(2, [[0, 1]], n, sigma2), squared, rtol=0.01)
 
 
+def test_the_langevin_floor_is_met_on_one_edge():
+    """Large κ: the tangent coordinates of the noise are nearly normal with variance 1/κ each."""
+    n, kappa = 6, 1e3
+    np.testing.assert_allclose(bounds.langevin_error_bound(2, [[0, 1]], n, kappa), 15 / kappa, rtol=0.01)
+    with pytest.raises(ValueError, match="kappa: the concentration of the observations must be > 0, got 0"):
+        bounds.langevin_error_bound(2, [[0, 1]], n, 0)
+
+
+def test_the_langevin_information_is_the_variance_of_the_score():
+    """Importance weights turn Haar samples into Langevin noise; the score of κ tr(Zᵀ e^Ω) is κ skew(Z)."""
+    n, kappa = 3, 2.0
+    haar = so.random_uniform(n, 200_000, rng=1)
+    weight = np.exp(kappa * np.trace(haar, axis1=1, axis2=2))
+    score_squared = kappa**2 * (weight * (so.skew(haar) ** 2).sum((1, 2))).sum() / weight.sum()
+    d = n * (n - 1) / 2
+    floor = bounds.langevin_error_bound(2, [[0, 1]], n, kappa)[0]
+    np.testing.assert_allclose(d**2 / score_squared, floor, rtol=0.01)
+
+
 def test_the_expected_line_reaches_the_floor_as_the_noise_vanishes():
     edges = np.array(nx.complete_graph(5).edges)
     floor = np.sqrt(fmsync.relative_error_bound(5, edges, 8, 1e-5))
