@@ -41,7 +41,9 @@ def ess(values: np.ndarray, kind: str = "bulk") -> float:
     if kind not in ("bulk", "tail"):
         raise ValueError(f"kind: 'bulk' or 'tail', not {kind!r}")
     values = _checked(values)
-    return float(array_stats.ess(values, method=kind)) if _varies(values) else np.nan
+    if not _varies(values):
+        return np.nan
+    return float(array_stats.ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
 
 
 def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:

@@ -242,7 +242,8 @@ def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback) -> tu
 
 def _check(engine) -> np.ndarray:
     """Energies (K,) of the chains; a RuntimeError when one of them is where no sound chain goes."""
-    energy = engine.energy()
+    with np.errstate(over="ignore", invalid="ignore"):  # a chain that blew up is told of below
+        energy = engine.energy()
     bad = np.flatnonzero(~(energy <= engine.ceiling))
     if bad.size:
         raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {engine.advice}")

@@ -1,0 +1,74 @@
+"""The paper's sampler as others write it: every operation on SO(n) by geomstats, the energy summed edge by edge.
+
+Only for comparison. geomstats is imported when the sampler is made, so that nothing else waits for it.
+"""
+
+import os
+
+import numpy as np
+
+from fmsync import problem as energies
+from fmsync.problem import LangevinPrior, SyncProblem
+from fmsync.samplers import concentration, sampler
+from fmsync.samplers.rlfm import default_step
+
+
+@sampler("rlfm-geomstats")
+class GeomstatsRLFM:
+    """The constrained Euclidean chain of ``"rlfm"`` with geodesic steps; no prior.
+
+    Parameters
+    ----------
+    problem, start, rng, prior, step, kappa, beta
+        As for ``"rlfm"``; a prior is refused.
+    """
+
+    def __init__(
+        self,
+        problem: SyncProblem,
+        start: np.ndarray,
+        rng: np.random.Generator,
+        prior: LangevinPrior | None = None,
+        *,
+        step: float | None = None,
+        kappa: float | None = None,
+        beta: float | None = None,
+    ):
+        if prior is not None:
+            raise ValueError("prior: 'rlfm-geomstats' takes none; use 'rlfm'")
+        os.environ.setdefault("GEOMSTATS_BACKEND", "numpy")
+        from geomstats.geometry.special_orthogonal import SpecialOrthogonal
+
+        self._space = SpecialOrthogonal(n=problem.n, equip=False)
+        self._problem, self._rng, self._age = problem, rng, 0
+        self.state = start.copy()
+        self.kappa = np.full(len(start), concentration(kappa, beta))
+        self._beta = self.kappa[0] / 2
+        self._step = default_step(problem, self.kappa[0]) if step is None else step
+        self.ceiling, self.advice = np.full(len(start), np.inf), "shorten the step"
+        self.settings = {"step": self._step, "beta": self._beta}
+
+    def draw(self) -> np.ndarray:
+        """(K, N, n, n) rotations."""
+        return self.state
+
+    def energy(self) -> np.ndarray:
+        """(K,) Euclidean energy."""
+        return energies.energy(self._problem, self.state)
+
+    def step(self, warming: bool) -> None:
+        """One step: ambient gradient, projection to the tangent space and exponential map."""
+        c = self.state
+        gradient = np.zeros(c.shape)
+        for (i, j), observed, weight in zip(self._problem.edges, self._problem.maps, self._problem.weights):
+            gradient[:, i] -= 2 * weight * c[:, j] @ observed.T
+            gradient[:, j] -= 2 * weight * c[:, i] @ observed
+        noise = self._rng.standard_normal(c.shape)
+        push = -self._step * gradient + np.sqrt(2 * self._step / self._beta) * noise
+        flat = c.reshape(-1, *c.shape[-2:])
+        tangent = self._space.to_tangent(push.reshape(flat.shape), base_point=flat)
+        moved = self._space.exp(tangent, base_point=flat)
+        self._age += 1
+        if self._age % 100 == 0:  # without it rounding grows until the exponential overflows
+            moved = self._space.projection(moved)
+        self.state = moved.reshape(c.shape)

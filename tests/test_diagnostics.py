@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+
+import data_gen
+import fmsync
+from fmsync import diagnostics, so
+
+
+def autoregressive(rho, n_chains=4, n_draws=4000, rng=0):
+    noise = np.random.default_rng(rng).standard_normal((n_chains, n_draws))
+    x = noise.copy()
+    for t in range(1, n_draws):
+        x[:, t] = rho * x[:, t - 1] + np.sqrt(1 - rho**2) * noise[:, t]
+    return x
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_ess_of_an_autoregressive_chain(rho):
+    """Known: draws times (1 - ρ) / (1 + ρ) for the mean."""
+    expected = 16_000 * (1 - rho) / (1 + rho)
+    assert abs(diagnostics.ess(autoregressive(rho)) / expected - 1) < 0.15
+    assert diagnostics.ess(autoregressive(rho), "tail") > 0.5 * expected
+
+
+def test_rhat_sees_a_chain_that_sits_elsewhere():
+    x = autoregressive(0.5)
+    assert diagnostics.rhat(x) < 1.005
+    x[0] += 1.0
+    assert diagnostics.rhat(x) > 1.05
+
+
+def test_what_cannot_be_judged_is_nan():
+    assert np.isnan(diagnostics.rhat(np.ones((2, 10))))
+    assert np.isnan(diagnostics.ess(np.zeros((2, 3))))
+
+
+def test_bad_values_are_named():
+    with pytest.raises(ValueError, match=r"\(chains, draws\)"):
+        diagnostics.rhat(np.zeros(5))
+    with pytest.raises(ValueError, match="chain 1, draw 2"):
+        diagnostics.ess(np.array([[1.0, 2, 3, 4], [1, 2, np.nan, 4]]))
+    with pytest.raises(ValueError, match="kind"):
+        diagnostics.ess(np.zeros((2, 9)), "middle")
+
+
+def test_summary_does_not_depend_on_the_gauge():
+    p = data_gen.perturb(data_gen.planted(6, 3, rng=0), 0.1, 1)
+    post = fmsync.sample(p, n_chains=2, n_draws=50, warmup=50, rng=0)
+    turns = so.random_uniform(3, (2, 50, 1), rng=1)  # every draw by another one
+    turned = fmsync.Posterior(p, "rlfm", turns @ post.absolute, post.energy, post.kappa, False, {})
+    table = diagnostics.summary(post)
+    for name, values in diagnostics.scalars(turned).items():
+        np.testing.assert_allclose(values, diagnostics.scalars(post)[name], atol=1e-12)
+    assert len(table) == 21  # the energy and two numbers for ten of 15 pairs
+    assert len(diagnostics.summary(post, [[0, 1]])) == 3
+    relative = post.relative([[0, 1]])[:, :, 0]
+    assert table.loc["tr C[0,1]", "mean"] == pytest.approx(np.trace(relative.mean((0, 1))))
+    assert table.loc["C[0,1][0,0]", "sd"] == pytest.approx(relative[..., 0, 0].std())
