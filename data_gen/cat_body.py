@@ -5,6 +5,7 @@ smooth union of round cones strung along the bones (a metaball surface), so it h
 and it is mirror symmetric in the plane y = 0 by construction.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,8 +34,7 @@ class Cone:
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
-_TAIL = [(-0.36, 0, 0.47), (-0.44, 0, 0.475), (-0.52, 0, 0.465), (-0.60, 0, 0.45), (-0.68, 0, 0.44)]
-_TAIL += [(-0.76, 0, 0.44), (-0.84, 0, 0.45), (-0.91, 0, 0.465)]
+_TAIL = [(-0.36 - 0.0802 * k, 0, z) for k, z in enumerate([0.47, 0.475, 0.465, 0.45, 0.44, 0.44, 0.45, 0.465])]
 
 _MIDDLE_BONES = [
     Bone("pelvis", None, (-0.20, 0, 0.43)),
@@ -52,16 +52,17 @@ _LEFT_BONES = [
     Bone("shin", "thigh", (-0.205, 0.09, 0.235)),
     Bone("foot", "shin", (-0.33, 0.085, 0.135)),
     Bone("toes", "foot", (-0.305, 0.085, 0.03)),
+    Bone("ear", "head", (0.355, 0.058, 0.66)),
 ]
 
 _MIDDLE_CONES = [
-    Cone("pelvis", (-0.27, 0, 0.415), (-0.18, 0, 0.415), 0.095, 0.100, (1, 0.90, 1)),
-    Cone("loin", (-0.18, 0, 0.415), (0.02, 0, 0.405), 0.100, 0.110, (1, 0.90, 1)),
-    Cone("chest", (0.02, 0, 0.405), (0.18, 0, 0.40), 0.110, 0.115, (1, 0.85, 1)),
-    Cone("neck", (0.20, 0, 0.43), (0.34, 0, 0.555), 0.085, 0.070, (1, 0.95, 1)),
-    Cone("head", (0.385, 0, 0.58), (0.405, 0, 0.582), 0.090, 0.085, (1, 1.02, 0.94)),
-    Cone("head", (0.46, 0, 0.558), (0.485, 0, 0.553), 0.046, 0.040, (1, 1.10, 0.85)),  # muzzle
-    *(Cone(f"tail{k}", _TAIL[k], _TAIL[k + 1], 0.034 - 0.001 * k, 0.033 - 0.001 * k) for k in range(len(_TAIL) - 1)),
+    Cone("pelvis", (-0.27, 0, 0.415), (-0.18, 0, 0.415), 0.100, 0.104, (1, 0.88, 1)),
+    Cone("loin", (-0.18, 0, 0.415), (0.02, 0, 0.405), 0.104, 0.112, (1, 0.88, 1)),
+    Cone("chest", (0.02, 0, 0.405), (0.18, 0, 0.40), 0.112, 0.118, (1, 0.88, 1)),
+    Cone("neck", (0.20, 0, 0.43), (0.32, 0, 0.545), 0.088, 0.072, (1, 0.95, 1)),
+    Cone("head", (0.370, 0, 0.595), (0.390, 0, 0.595), 0.098, 0.096, (0.95, 1.08, 0.92)),
+    Cone("head", (0.448, 0, 0.568), (0.462, 0, 0.563), 0.044, 0.036, (1, 1.25, 0.85)),  # muzzle
+    *(Cone(f"tail{k}", _TAIL[k], _TAIL[k + 1], 0.040 - 0.0015 * k, 0.0385 - 0.0015 * k) for k in range(len(_TAIL) - 1)),
 ]
 _LEFT_CONES = [
     Cone("upper arm", (0.19, 0.070, 0.38), (0.155, 0.085, 0.235), 0.066, 0.043, (1.1, 0.8, 1)),
@@ -72,8 +73,8 @@ _LEFT_CONES = [
     Cone("shin", (-0.205, 0.090, 0.235), (-0.33, 0.085, 0.135), 0.050, 0.032),
     Cone("foot", (-0.33, 0.085, 0.135), (-0.310, 0.085, 0.035), 0.031, 0.031),
     Cone("toes", (-0.305, 0.085, 0.031), (-0.260, 0.085, 0.030), 0.033, 0.034, (1.05, 1.05, 0.9)),
-    Cone("head", (0.375, 0.052, 0.645), (0.368, 0.072, 0.725), 0.042, 0.016, (0.62, 1, 1)),  # ear
-    Cone("head", (0.435, 0.034, 0.560), (0.435, 0.034, 0.560), 0.046, 0.046),  # cheek
+    Cone("ear", (0.355, 0.058, 0.650), (0.345, 0.083, 0.752), 0.050, 0.014, (0.58, 1, 1)),
+    Cone("head", (0.405, 0.045, 0.570), (0.405, 0.045, 0.570), 0.050, 0.050),  # cheek
 ]
 
 
@@ -118,9 +119,15 @@ def cone_distance(points: np.ndarray, cone: Cone) -> np.ndarray:
 def skin(points: np.ndarray) -> np.ndarray:
     """The implicit function (...,) of points (..., 3): zero on the skin, negative inside.
 
-    f(x) = -b log sum_c exp(-d_c(x) / b) with b = ``BLEND``, the smooth minimum of the distances d_c to all cones.
+    f(x) = -b log sum_c exp(-d_c(x) / b) with b = ``BLEND``, the smooth minimum of the distances d_c to all parts.
+    Within the trunk and within the tail the plain minimum is taken: melted in a row, cones look like a string of beads.
     """
+    trunk = {"pelvis", "loin", "chest"}
+    parts = defaultdict(list)
+    for k, cone in enumerate(cones()):
+        parts["tail" if cone.bone.startswith("tail") else "trunk" if cone.bone in trunk else k].append(cone)
     total = np.zeros(points.shape[:-1])
-    for cone in cones():
-        total += np.exp(-np.clip(cone_distance(points, cone), None, 0.5) / BLEND)
+    for part in parts.values():
+        distance = np.min([cone_distance(points, cone) for cone in part], axis=0)
+        total += np.exp(-np.minimum(distance, 0.5) / BLEND)
     return -BLEND * np.log(total)

@@ -28,7 +28,7 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     areas = _vertex_areas(points, triangles)  # (P,)
     edge = np.sqrt(2 * areas.sum() / n_vertices * 2 / np.sqrt(3))  # of an equilateral triangle of the mean area
     in_plane = points[:, 1] == 0
-    n_plane = int(round(_boundary_length(points, triangles) / edge))
+    n_plane = round(_boundary_length(points, triangles) / edge)
     n_plane += (n_vertices - n_plane) % 2
     n_left = (n_vertices - n_plane) // 2
 
@@ -49,7 +49,7 @@ def _half_skin(n_vertices):
     counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
     grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)
     surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
-    while surface.n_points < 8 * n_vertices:
+    while surface.n_points < 11 * n_vertices:
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
     points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0
@@ -57,14 +57,20 @@ def _half_skin(n_vertices):
     return points, surface.regular_faces.astype(np.int64)
 
 
+def _gradient(points):
+    """Gradient of the implicit function by central differences (P, 3); in the mirror plane it has no y."""
+    delta = 1e-5
+    gradient = np.stack(
+        [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)], axis=-1
+    )
+    gradient[points[:, 1] == 0, 1] = 0
+    return gradient
+
+
 def _onto_skin(points):
     """Two Newton steps along the gradient; points in the mirror plane stay there."""
-    delta = 1e-5
     for _ in range(2):
-        gradient = np.stack(
-            [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)], axis=-1
-        )
-        gradient[points[:, 1] == 0, 1] = 0
+        gradient = _gradient(points)
         points = points - (skin(points) / (gradient**2).sum(-1))[:, None] * gradient
     return points
 
@@ -87,24 +93,28 @@ def _boundary_length(points, triangles):
 
 
 def _voronoi(points, areas, in_plane, n_plane, n_left, edge):
-    """Lloyd's algorithm; sites [0, n_plane) stay in the mirror plane. Returns labels (P,) and sites (S, 3)."""
+    """Lloyd's algorithm; sites [0, n_plane) stay in the mirror plane. Returns labels (P,) and sites (S, 3).
+
+    Distances count the direction of the surface too, so that no cell reaches through an ear or a tail to the far side.
+    """
     rng = np.random.default_rng(0)
+    gradient = _gradient(points)
+    features = np.hstack([points, 0.5 * edge * gradient / np.linalg.norm(gradient, axis=1, keepdims=True)])  # (P, 6)
     plane, left = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
     first = np.r_[
         _farthest(points, plane, n_plane),
         rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum()),
     ]
-    sites = points[first]
+    sites = features[first]
     for _ in range(_LLOYD_STEPS):
-        labels = cKDTree(sites).query(points)[1]
+        labels = cKDTree(sites).query(features)[1]
         # samples in the mirror plane belong to sites in the plane: the rim of the half is then a chain of those sites
-        labels[plane] = cKDTree(sites[:n_plane]).query(points[plane])[1]
+        labels[plane] = cKDTree(sites[:n_plane]).query(features[plane])[1]
         weight = np.bincount(labels, areas, minlength=len(sites))
-        sums = coo_array((areas, (labels, np.arange(len(points)))), shape=(len(sites), len(points))) @ points
+        sums = coo_array((areas, (labels, np.arange(len(points)))), shape=(len(sites), len(points))) @ features
         sites = sums / weight[:, None]
-        sites[:n_plane, 1] = 0
-    sites = _onto_skin(sites)
-    return labels, sites
+        sites[:n_plane, [1, 4]] = 0
+    return labels, _onto_skin(sites[:, :3])
 
 
 def _farthest(points, candidates, count):

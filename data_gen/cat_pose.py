@@ -1,8 +1,9 @@
-"""Poses: joint angles bend the skeleton, the skin follows as rigidly as it can.
+"""Poses: joint angles bend the skeleton, the skin follows as rigidly as it can, muscles swell and slacken.
 
-A pose is a mapping ``joint name -> (roll, pitch, yaw)`` in degrees about the x, y and z axes of the resting cat, applied
-at the joint and inherited by everything beyond it. Positive pitch turns the nose down and a hanging leg backwards;
-positive yaw turns the nose to the cat's left. A name without a side ("thigh") moves both legs as mirror images.
+The joint angles of a pose are a mapping ``joint name -> (roll, pitch, yaw)`` in degrees about the x, y and z axes of
+the resting cat, applied at the joint and inherited by everything beyond it. Positive pitch turns the nose down and a
+hanging leg backwards; positive yaw turns the nose to the cat's left. A name without a side ("thigh") moves both legs
+as mirror images. Its muscle tone is one number a bone: how much thicker than at rest the flesh around it is.
 """
 
 from collections.abc import Mapping
@@ -11,12 +12,13 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data_gen.cat_body import Bone, bones, cone_distance, cones
+from data_gen.cat_body import bones, cone_distance, cones
 
 Pose = Mapping[str, tuple[float, float, float]]
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
+_TONE = 0.14  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
 
 
@@ -92,8 +94,8 @@ POSES: dict[str, Pose] = {
         **_spine(0, 0, 4),
         **_fore("left ", 4, 40, -28, 0),
         **_fore("right ", 4, 18, -50, -12),
-        **_hind("left ", 0, -34, 18, -30, 0),
-        **_hind("right ", 0, -12, 34, -4, 0),
+        **_hind("left ", 0, -22, 14, -20, 0),
+        **_hind("right ", 0, -8, 30, 0, 0),
         "neck": (0, 34, 0),
         "head": (0, -34, 0),
         **_tail(-3, -4, 2),
@@ -133,6 +135,15 @@ POSES: dict[str, Pose] = {
         **_tail(-4, 5, 2),
     },
 }
+
+
+def muscle_tone(k: int) -> np.ndarray:
+    """Tone (B,) of the k-th cat: flesh is tense or slack, on the tail as one and on the ears never; for every seed."""
+    names = [bone.name for bone in bones()]
+    fleshy = [name for name in names if not name.endswith("ear")]
+    signs = dict(zip(fleshy, np.random.default_rng([1, k]).choice([-1.0, 1.0], len(fleshy))))
+    signs |= {name: signs["tail0"] for name in fleshy if name.startswith("tail")}
+    return _TONE * np.array([signs.get(name, 0.0) for name in names])
 
 
 def joint_transforms(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -188,6 +199,7 @@ class Rig:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self.vertices, self.faces = vertices, faces
         stiffness, areas = _cotangents(vertices, faces)
+        self._normals = _vertex_normals(vertices, faces)
         self.weights = _skinning_weights(vertices, stiffness, areas)  # (V, B)
         off = stiffness.tocoo()
         keep = off.row != off.col
@@ -201,19 +213,20 @@ class Rig:
         self._anchor = _ANCHOR * certainty * stiffness.diagonal()
         self._solve = splu((stiffness + diags_array(self._anchor)).tocsc(), permc_spec="MMD_AT_PLUS_A").solve
 
-    def pose(self, pose: Pose) -> np.ndarray:
-        """Vertices (V, 3) in the given pose."""
+    def pose(self, pose: Pose, tone: np.ndarray) -> np.ndarray:
+        """Vertices (V, 3) for joint angles and a muscle tone (B,)."""
         rotations, translations = joint_transforms(pose)
-        carried = np.einsum("bij,vj->vbi", rotations, self.vertices) + translations
+        rest = self.vertices + (self.weights @ (tone * _bone_radii()))[:, None] * self._normals
+        carried = np.einsum("bij,vj->vbi", rotations, rest) + translations
         skinned = np.einsum("vb,vbi->vi", self.weights, carried)
         posed = skinned
         for _ in range(_ARAP_STEPS):
-            posed = self._global_step(self._local_step(posed), skinned)
+            posed = self._global_step(rest, self._local_step(rest, posed), skinned)
         return posed
 
-    def _local_step(self, posed):
+    def _local_step(self, rest, posed):
         """The rotation (V, 3, 3) that best carries the resting edges around each vertex to the posed ones."""
-        rest = self.vertices[self._to] - self.vertices[self._from]
+        rest = rest[self._to] - rest[self._from]
         now = posed[self._to] - posed[self._from]
         outer = (self._stiffness[:, None] * now)[:, :, None] * rest[:, None, :]
         covariance = (self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
@@ -221,11 +234,23 @@ class Rig:
         u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
         return u @ vt
 
-    def _global_step(self, rotations, skinned):
-        rest = self.vertices[self._from] - self.vertices[self._to]
+    def _global_step(self, rest, rotations, skinned):
+        rest = rest[self._from] - rest[self._to]
         both = 0.5 * (rotations[self._from] + rotations[self._to])
         pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, rest)
         return self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
+
+
+def _bone_radii():
+    """Mean radius (B,) of the cones on each bone."""
+    return np.array([np.mean([cone.radius_start for cone in cones() if cone.bone == bone.name]) for bone in bones()])
+
+
+def _vertex_normals(vertices, faces):
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    normals = np.stack([np.bincount(faces.ravel(), of_face[:, k]) for k in range(3)], axis=1)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _cotangents(vertices, faces):
@@ -258,6 +283,3 @@ def _skinning_weights(vertices, stiffness, areas):
     for _ in range(2):
         weights = heat.solve(areas[:, None] * weights)
     return weights
-
-
-__all__ = ["POSES", "Bone", "Pose", "Rig", "joint_transforms"]

@@ -1,4 +1,4 @@
-"""Synthetic cats: near-isometric poses of one quadruped, all with the same triangulation, made here and nowhere else."""
+"""Synthetic cats: near-isometric poses of one quadruped with one triangulation, made here and nowhere else."""
 
 import hashlib
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ import numpy as np
 
 from data_gen.cache import cached
 from data_gen.cat_mesh import rest_mesh
-from data_gen.cat_pose import POSES, Pose, Rig
+from data_gen.cat_pose import POSES, Pose, Rig, muscle_tone
 from data_gen.self_intersection import self_intersections
 from fmsync.shape import Shape
 
@@ -97,7 +97,7 @@ def _build(count, n_vertices, seed, symmetric):
     posed = []
     for k in range(count):
         rng = np.random.default_rng([seed, k])
-        candidates = (rig.pose(pose) for pose in islice(_candidates(k, rng), _DRAWS))
+        candidates = (rig.pose(pose, muscle_tone(k)) for pose in islice(_candidates(k, rng), _DRAWS))
         free = (vertices for vertices in candidates if len(self_intersections(vertices, rest["faces"])) == 0)
         vertices = next(free, None)
         if vertices is None:

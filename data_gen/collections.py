@@ -106,11 +106,10 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
 
 
 def _read_correspondence(folder, shape):
-    for suffix, base in ((".vts", 1), (".txt", 0)):
-        path = folder / f"{shape.name}{suffix}"
-        if path.is_file():
-            break
-    else:
+    path, base = folder / f"{shape.name}.vts", 1
+    if not path.is_file():
+        path, base = folder / f"{shape.name}.txt", 0
+    if not path.is_file():
         raise ValueError(f"{folder}: there is neither {shape.name}.vts nor {shape.name}.txt")
     try:
         points = np.array(path.read_text().split(), dtype=np.int64) - base

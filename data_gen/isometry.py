@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
+from data_gen.fingerprints import same_triangulation
 from fmsync.shape import Shape
 
 
@@ -18,7 +19,7 @@ def edge_distortion(shapes: list[Shape]) -> np.ndarray:
     Parameters
     ----------
     shapes
-        N shapes with the same triangulation.
+        N shapes with the same triangles, whatever their orientation.
 
     Returns
     -------
@@ -28,7 +29,7 @@ def edge_distortion(shapes: list[Shape]) -> np.ndarray:
     Raises
     ------
     ValueError
-        The shapes differ in their faces.
+        The shapes differ in their triangles.
 
     Examples
     --------
@@ -37,7 +38,7 @@ def edge_distortion(shapes: list[Shape]) -> np.ndarray:
     array([0.])
     """
     for shape in shapes[1:]:
-        if not np.array_equal(shape.faces, shapes[0].faces):
+        if same_triangulation(shapes[0], shape) is None:
             raise ValueError(f"{shape.name} and {shapes[0].name} differ in their triangles: edges cannot be compared")
     ends = edges(shapes[0].faces)
     scaled = [shape.normalised().vertices for shape in shapes]

@@ -4,6 +4,8 @@ Text formats are read here, so that vertices keep their order (the ground truth 
 refused with its line of trouble; PLY and STL go through PyVista. What was read is then examined by ``mesh_repair``.
 """
 
+import warnings
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -58,49 +60,52 @@ def _text(path):
     return text
 
 
-def _numbers(tokens, kind, what):
+def _numbers(text, what):
+    """All numbers of a text, float64; the first word that is none is named."""
+    words = text.split()
     try:
-        return np.array(tokens, dtype=kind)
-    except (ValueError, OverflowError):
-        raise ValueError(f"{what}: {_first_bad(tokens, kind)!r} is not a number") from None
+        return np.array(words, dtype=np.float64)
+    except ValueError:
+        raise ValueError(f"{what}: {next(word for word in words if not _is_number(word))!r} is not a number") from None
 
 
-def _first_bad(tokens, kind):
-    for token in tokens:
-        try:
-            kind(token)
-        except ValueError:
-            return token
-    return tokens[0]
+def _is_number(word):
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _whole(numbers, what):
+    whole = np.where(np.isfinite(numbers), numbers, 0).astype(np.int64)
+    if (whole != numbers).any():
+        raise ValueError(f"{what}: {numbers[np.argmax(whole != numbers)]} is not the number of a vertex")
+    return whole
 
 
 def _read_off(path):
-    tokens = _text(path).split()
-    if tokens[:1] != ["OFF"]:
-        raise ValueError(f"an OFF file begins with OFF, this one with {' '.join(tokens[:1])[:20]!r}")
-    counts = _numbers(tokens[1:4], int, "line of counts")
-    if len(counts) < 3 or counts.min() < 0:
+    head, _, body = _text(path).lstrip().partition("OFF")
+    if head or not body:
+        raise ValueError(f"an OFF file begins with OFF, this one with {(head or body).split()[:1]}")
+    numbers = _numbers(body, "OFF")
+    if len(numbers) < 3 or (numbers[:3] < 0).any() or (numbers[:3] % 1 != 0).any():
         raise ValueError("the line of counts must hold the numbers of vertices, faces and edges")
-    n_vertices, n_faces = int(counts[0]), int(counts[1])
-    end = 4 + 3 * n_vertices
-    if len(tokens) < end:
-        raise ValueError(f"{n_vertices} vertices announced, the file ends after {(len(tokens) - 4) // 3}")
-    vertices = _numbers(tokens[4:end], float, "vertices").reshape(-1, 3)
-    return vertices, _off_faces(tokens[end:], n_faces)
-
-
-def _off_faces(tokens, n_faces):
-    if len(tokens) < 4 * n_faces:
-        raise ValueError(f"{n_faces} faces announced, the file ends after {len(tokens) // 4}")
-    if len(tokens) > 4 * n_faces:
+    n_vertices, n_faces = int(numbers[0]), int(numbers[1])
+    points, rows = np.split(numbers[3:], [3 * n_vertices])
+    if len(points) < 3 * n_vertices:
+        raise ValueError(f"{n_vertices} vertices announced, the file ends after {len(points) // 3}")
+    if len(rows) < 4 * n_faces:
+        raise ValueError(f"{n_faces} faces announced, the file ends after {len(rows) // 4}")
+    if len(rows) > 4 * n_faces:
         raise ValueError(
-            f"{n_faces} faces announced, {len(tokens) / 4:g} found: a wrong count, faces with colours, or not triangles"
+            f"{n_faces} faces announced, {len(rows) / 4:g} found: a wrong count, faces with colours, or not triangles"
         )
-    rows = _numbers(tokens, int, "faces").reshape(-1, 4)
+    rows = _whole(rows, "faces").reshape(-1, 4)
     if (rows[:, 0] != 3).any():
         face = int(np.argmax(rows[:, 0] != 3))
         raise ValueError(f"face {face} has {rows[face, 0]} corners: triangulate the mesh first")
-    return rows[:, 1:]
+    return points.reshape(-1, 3), rows[:, 1:]
 
 
 def _read_obj(path):
@@ -115,8 +120,8 @@ def _read_obj(path):
             if len(words) != 4:
                 raise ValueError(f"face {len(corners)} has {len(words) - 1} corners: triangulate the mesh first")
             corners.append([word.partition("/")[0] for word in words[1:]])
-    vertices = _numbers(points, float, "vertices").reshape(-1, 3)
-    faces = _numbers(corners, int, "faces").reshape(-1, 3)
+    vertices = _numbers(" ".join(chain.from_iterable(points)), "vertices").reshape(-1, 3)
+    faces = _whole(_numbers(" ".join(chain.from_iterable(corners)), "faces"), "faces").reshape(-1, 3)
     return vertices, np.where(faces < 0, faces + len(vertices), faces - 1)  # OBJ counts from one, or back from the end
 
 
@@ -125,24 +130,25 @@ def _read_vert_tri(path):
     if not triangles.is_file():
         raise ValueError(f"there is no {triangles.name} beside it")
     tables = []
-    for file, kind in ((path, float), (triangles, int)):
-        tokens = _text(file).split()
-        if len(tokens) == 0 or len(tokens) % 3:
-            raise ValueError(f"{file.name} holds {len(tokens)} numbers, not three in every line")
-        tables.append(_numbers(tokens, kind, file.name).reshape(-1, 3))
+    for file in (path, triangles):
+        numbers = _numbers(_text(file), file.name)
+        if len(numbers) == 0 or len(numbers) % 3:
+            raise ValueError(f"{file.name} holds {len(numbers)} numbers, not three in every line")
+        tables.append(numbers.reshape(-1, 3))
     vertices, faces = tables
-    return vertices, faces - 1  # TOSCA counts from one
+    return vertices, _whole(faces, triangles.name) - 1  # TOSCA counts from one
 
 
 def _read_vtk(path):
     try:
-        with pv.VtkErrorCatcher(raise_errors=True):
+        with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
+            warnings.simplefilter("error", UserWarning)
             mesh = pv.read(path)
     except Exception as error:  # VTK reports a damaged file in many ways
         raise ValueError(f"VTK cannot read it: {error}") from error
     if not isinstance(mesh, pv.PolyData) or mesh.n_points == 0:
         raise ValueError("VTK finds no points in it")
-    if mesh.n_cells == 0 or mesh.n_faces_strict == 0:
+    if mesh.n_faces == 0:
         return np.asarray(mesh.points, dtype=float), None
     if not mesh.is_all_triangles:
         raise ValueError("not all faces are triangles: triangulate the mesh first")
