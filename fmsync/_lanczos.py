@@ -8,7 +8,7 @@ DENSE = 500  # below this size a dense solve is quicker and cannot miss anything
 
 
 def largest_eigenpairs(
-    apply: Callable[[np.ndarray], np.ndarray], size: int, k: int, block: int = 2, tolerance: float = 1e-10
+    apply: Callable[[np.ndarray], np.ndarray], size: int, k: int, block: int = 2, tolerance: float = 1e-9
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (k,) descending and orthonormal eigenvectors (size, k) of a positive definite operator.
 
@@ -44,7 +44,7 @@ def _block_lanczos(apply, size, k, block, tolerance):
 
         image = apply(rows.T).T  # (b, size)
         overlap = basis @ image.T  # (used, b)
-        image = image - overlap.T @ basis
+        image -= overlap.T @ basis
         projected = np.pad(projected, (0, block))
         projected[:, -block:] = overlap
 
@@ -63,5 +63,13 @@ def _block_lanczos(apply, size, k, block, tolerance):
 
 
 def _orthonormal_rows(rows):
-    q, r = np.linalg.qr(rows.T)
-    return q.T, r
+    """Orthonormal rows and the triangle R with rows = R^T q: twice through a Cholesky factor, or by QR near rank loss."""
+    size = np.sqrt((rows * rows).sum(axis=1))
+    gram = rows @ rows.T
+    if not (size.min() > 0 and np.linalg.eigvalsh(gram / np.outer(size, size))[0] > 1e-4):
+        q, r = np.linalg.qr(rows.T)
+        return q.T, r
+    triangle = np.linalg.cholesky(gram)  # (b, b), so its inverse is cheap and well conditioned here
+    q = np.linalg.inv(triangle) @ rows
+    again = np.linalg.cholesky(q @ q.T)
+    return np.linalg.inv(again) @ q, (triangle @ again).T
