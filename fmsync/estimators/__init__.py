@@ -16,6 +16,8 @@ from fmsync.problem import SyncProblem, check_rotations, energy, fix_gauge, rela
 
 Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolute (N,n,n), cost, gradient norm)
 
+_ROUGH = 0.01  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+
 _REGISTRY: dict[str, Callable] = {}
 
 
@@ -190,7 +192,7 @@ def starting_point(problem: SyncProblem, init: str | np.ndarray | Estimate, rng:
         if init == "random":
             return so.random_uniform(problem.n, problem.n_nodes, rng)
         if init == "spectral":
-            return solve(problem, "spectral", rng=rng).absolute.copy()
+            return solve(problem, "spectral", rng=rng, tolerance=_ROUGH).absolute
         raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
     absolute = np.array(init.absolute if isinstance(init, Estimate) else init, dtype=float)
     if absolute.shape != (problem.n_nodes, problem.n, problem.n):

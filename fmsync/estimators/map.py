@@ -3,7 +3,7 @@
 import numpy as np
 
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
-from fmsync.estimators._trust_region import minimise
+from fmsync.estimators._trust_region import Rotations, minimise
 from fmsync.problem import LangevinPrior, SyncProblem, anchored, fix_gauge
 
 
@@ -51,7 +51,7 @@ def maximum_a_posteriori(
     whole = problem if prior is None else anchored(problem, prior, kappa)
     start = starting_point(whole, "spectral", rng)
     absolute, converged, trace = minimise(
-        whole, start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
+        Rotations(whole), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
     )
     whole_estimate = Estimate.from_absolute(whole, absolute, "map")
     absolute = whole_estimate.absolute

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
-from fmsync.estimators._trust_region import minimise
+from fmsync.estimators._trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem
 
 
@@ -48,7 +48,7 @@ def mle(
     """
     start = starting_point(problem, init, rng)
     absolute, converged, trace = minimise(
-        problem, start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
+        Rotations(problem), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
     )
     return Estimate.from_absolute(
         problem, absolute, "mle", n_iterations=len(trace.cost) - 1, converged=converged, trace=trace

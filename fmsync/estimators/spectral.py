@@ -14,7 +14,9 @@ _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense 
 
 
 @estimator("spectral")
-def spectral(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback) -> Estimate:
+def spectral(
+    problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, tolerance: float = 1e-6
+) -> Estimate:
     r"""Synchronize by the leading eigenvectors of the degree-normalised connection matrix.
 
     Relaxes :math:`\max\sum w\operatorname{tr}(C_{ij}^\top C_i^\top C_j)` from SO(n)^N to orthonormal frames and rounds
@@ -26,7 +28,9 @@ def spectral(problem: SyncProblem, *, rng: np.random.Generator, callback: Callba
     problem
         N nodes, E observed maps (n, n).
     rng
-        Draws the Lanczos start vector.
+        Draws the start of the block iteration.
+    tolerance
+        Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
 
     Returns
     -------
@@ -42,14 +46,16 @@ def spectral(problem: SyncProblem, *, rng: np.random.Generator, callback: Callba
     """
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
-    frame = _leading_eigenvectors(problem, scale, rng)  # (N n, n)
+    frame = _leading_eigenvectors(problem, scale, rng, tolerance)  # (N n, n)
     blocks = so.transpose(frame.reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]  # C_i up to one frame
     estimate = Estimate.from_absolute(problem, so.project(_common_orientation(blocks)), "spectral")
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
     return estimate
 
 
-def _leading_eigenvectors(problem: SyncProblem, scale: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _leading_eigenvectors(
+    problem: SyncProblem, scale: np.ndarray, rng: np.random.Generator, tolerance: float
+) -> np.ndarray:
     """Leading n eigenvectors of the normalised connection matrix, (N n, n): dense, or by blocks without forming it."""
     size, n = len(scale), problem.n
     if problem.is_dense and size <= _BLOCKS_FROM:
@@ -63,7 +69,7 @@ def _leading_eigenvectors(problem: SyncProblem, scale: np.ndarray, rng: np.rando
     start = np.linalg.qr(multiply(rng.standard_normal((size, n))))[0]
     with warnings.catch_warnings():  # past the recovery threshold there is no gap to converge by; the cost will tell
         warnings.simplefilter("ignore", UserWarning)
-        return lobpcg(operator, start, largest=True, tol=1e-6 * np.sqrt(n), maxiter=60)[1]
+        return lobpcg(operator, start, largest=True, tol=tolerance, maxiter=60)[1]
 
 
 def _common_orientation(blocks: np.ndarray) -> np.ndarray:
