@@ -33,7 +33,7 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n_left = (n_vertices - n_plane) // 2
 
     labels, sites = _voronoi(points, areas, in_plane, n_plane, n_left, edge)
-    half = _dual_triangles(labels[triangles])
+    half = _dual_triangles(labels[triangles])[:, ::-1]  # contouring makes them face inwards
 
     mirror = np.r_[np.arange(n_plane), n_plane + n_left + np.arange(n_left), n_plane + np.arange(n_left)]
     faces = np.vstack([half, mirror[half][:, ::-1]])
@@ -44,12 +44,12 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _half_skin(n_vertices):
-    """Contour y >= 0 and refine until every future vertex has a dozen samples; the rim lies exactly in y = 0."""
+    """Contour y >= 0 and refine until every future vertex has some twenty samples; the rim lies exactly in y = 0."""
     step = 0.008
     counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
     grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)
     surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
-    while surface.n_points < 11 * n_vertices:
+    while surface.n_points < 10 * n_vertices:
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
     points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0

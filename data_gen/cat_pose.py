@@ -18,7 +18,7 @@ Pose = Mapping[str, tuple[float, float, float]]
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
-_TONE = 0.14  # thickness of tense and slack flesh differs this much from rest
+_TONE = 0.142  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
 
 
@@ -141,7 +141,7 @@ def muscle_tone(k: int) -> np.ndarray:
     """Tone (B,) of the k-th cat: flesh is tense or slack, on the tail as one and on the ears never; for every seed."""
     names = [bone.name for bone in bones()]
     fleshy = [name for name in names if not name.endswith("ear")]
-    signs = dict(zip(fleshy, np.random.default_rng([1, k]).choice([-1.0, 1.0], len(fleshy))))
+    signs = dict(zip(fleshy, np.random.default_rng([1, k]).choice([1.0, -1.0], len(fleshy))))
     signs |= {name: signs["tail0"] for name in fleshy if name.startswith("tail")}
     return _TONE * np.array([signs.get(name, 0.0) for name in names])
 
