@@ -1,64 +1,145 @@
 """Noise protocols: from a ground truth to the problem that an estimator is given."""
 
+import platform
+from collections.abc import Callable
+
 import numpy as np
+import scipy
 
 import fmsync
+from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, so
 
 
 def perturb(
     truth: GroundTruth,
-    sigma2: float,
+    sigma2: float | None = None,
     rng: int | np.random.Generator = 0,
     *,
+    noise: str = "projected-gaussian",
+    kappa: float | None = None,
     two_way: bool = False,
+    repeats: int = 1,
     around: str = "consistent",
+    outliers: float = 0.0,
+    outlier_kind: str = "haar",
 ) -> SyncProblem:
-    r"""Observe every map of the truth through the paper's noise :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`.
+    r"""Observe every map of the truth through noise; the paper's by default.
 
     Parameters
     ----------
     truth
         What to observe.
     sigma2
-        Noise variance per entry, >= 0; at n = 20 the maps are nearly random rotations from 1 on.
+        Noise variance per entry, >= 0, of the two Gaussian families; at n = 20 the paper's noise makes maps nearly
+        random from 1 on.
     rng
-        Seed or generator.
+        Seed or generator; either is recorded.
+    noise
+        ``"projected-gaussian"``: :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`, the paper's. ``"tangent-gaussian"``:
+        :math:`C_{ij}\exp(\sigma\,\mathrm{skew}\,G)`, the same to first order. ``"langevin"``: :math:`C_{ij}Z` with
+        density :math:`\propto\exp(\kappa\operatorname{tr}Z)`, exact draws. G has standard normal entries.
+    kappa
+        Concentration of the Langevin family, in place of ``sigma2``.
     two_way
-        Observe (j, i) as well, with noise of its own: two observations per pair.
+        Observe (j, i) as well, with noise of its own.
+    repeats
+        Observations of every (directed) pair: a multigraph for more than one.
     around
         ``"consistent"``: noise around C_i^T C_j; ``"measured"``: around the maps measured on the shapes, so that their
         model error is part of the problem.
+    outliers
+        Share of the observations in [0, 1) that is replaced: exactly ``round(outliers * E)`` of them.
+    outlier_kind
+        ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right mirrored map
+        :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
 
     Returns
     -------
     SyncProblem
-        With a provenance record.
+        With a provenance record; ``provenance["outlier_edges"]`` lists the replaced ones.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, a noise level that does not fit the family, flips without a mirror map.
 
     Examples
     --------
     >>> import data_gen
-    >>> data_gen.perturb(data_gen.planted(4, 5), sigma2=0.1, rng=0, two_way=True).n_edges
+    >>> truth = data_gen.planted(4, 5)
+    >>> data_gen.perturb(truth, sigma2=0.1, rng=0, two_way=True).n_edges
     12
+    >>> data_gen.perturb(truth, noise="langevin", kappa=20.0, outliers=0.3).provenance["outlier_edges"]
+    [2, 3]
     """
-    if not (np.isfinite(sigma2) and sigma2 >= 0):
-        raise ValueError(f"sigma2: must be finite and >= 0, got {sigma2}")
+    disturb = _family(noise, sigma2, kappa)
     if around not in ("consistent", "measured"):
         raise ValueError(f"around: 'consistent' or 'measured', not {around!r}")
-    edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
-    if two_way:
-        edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
+    if isinstance(repeats, bool) or int(repeats) != repeats or repeats < 1:
+        raise ValueError(f"repeats: need a whole number >= 1, got {repeats}")
+    if not 0 <= outliers < 1:
+        raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
+    if outlier_kind not in ("haar", "flip"):
+        raise ValueError(f"outlier_kind: 'haar' or 'flip', not {outlier_kind!r}")
+    if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
+        raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
+
     generator = np.random.default_rng(rng)
     provenance = {
         **truth.provenance,
-        "noise": "projected-gaussian",
-        "sigma2": float(sigma2),
+        "noise": noise,
+        "sigma2": None if sigma2 is None else float(sigma2),
+        "kappa": None if kappa is None else float(kappa),
         "around": around,
         "two_way": bool(two_way),
-        "seed": int(rng) if isinstance(rng, int | np.integer) else None,
-        "versions": {"fmsync": fmsync.__version__, "numpy": np.__version__},
+        "repeats": int(repeats),
+        "outliers": float(outliers),
+        "outlier_kind": outlier_kind if outliers > 0 else None,
+        "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
+        "versions": _versions(),
     }
-    if sigma2 > 0:
-        maps = so.project(maps + np.sqrt(sigma2) * generator.standard_normal(maps.shape))
+
+    edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
+    if two_way:
+        edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
+    edges, maps = np.tile(edges, (repeats, 1)), np.tile(maps, (repeats, 1, 1))
+    replaced = np.sort(generator.permutation(len(edges))[: round(outliers * len(edges))])
+    if outlier_kind == "flip" and len(replaced):
+        i, j = edges[replaced].T
+        maps[replaced] = so.project(so.transpose(truth.absolute[i]) @ truth.flip @ truth.absolute[j])
+    maps = disturb(maps, generator)
+    if outlier_kind == "haar":
+        maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
+    provenance["outlier_edges"] = replaced.tolist()
     return SyncProblem(truth.n_nodes, edges, maps, provenance=provenance)
+
+
+def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
+    """The function (maps, generator) -> noisy maps."""
+    if noise not in ("projected-gaussian", "tangent-gaussian", "langevin"):
+        raise ValueError(f"noise: 'projected-gaussian', 'tangent-gaussian' or 'langevin', not {noise!r}")
+    wanted, unwanted = ("kappa", "sigma2") if noise == "langevin" else ("sigma2", "kappa")
+    level, other = (kappa, sigma2) if noise == "langevin" else (sigma2, kappa)
+    if level is None or other is not None:
+        raise ValueError(f"{wanted}: {noise} noise takes {wanted} and no {unwanted}")
+    if not (np.isfinite(level) and level >= 0):
+        raise ValueError(f"{wanted}: must be finite and >= 0, got {level}")
+    if noise == "langevin":
+        return lambda maps, rng: maps @ langevin_noise(maps.shape[-1], level, len(maps), rng)
+    if level == 0:
+        return lambda maps, rng: maps.copy()
+    sigma = np.sqrt(level)
+    if noise == "tangent-gaussian":
+        return lambda maps, rng: maps @ so.exp(sigma * so.skew(rng.standard_normal(maps.shape)))
+    return lambda maps, rng: so.project(maps + sigma * rng.standard_normal(maps.shape))
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "fmsync": fmsync.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "python": platform.python_version(),
+    }

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import networkx as nx
 import numpy as np
 
+from data_gen.collections import require_common_order
 from data_gen.graphs import graph_edges
 from fmsync import functional_map, laplace_beltrami, so
 from fmsync.problem import relative_maps
@@ -36,6 +37,9 @@ class GroundTruth:
         truth without shapes, equal to ``maps``.
     bases
         The sign-fixed Laplace–Beltrami bases, N of them, or () for a truth without shapes.
+    flip
+        (n, n) the left–right mirror map in the universe, an orthogonal involution up to discretisation, or None. The
+        mirrored maps are C_i^T F C_j.
     provenance
         Plain JSON values that say how it was made.
     """
@@ -45,6 +49,7 @@ class GroundTruth:
     measured_maps: np.ndarray
     bases: tuple[Basis, ...] = ()
     provenance: Mapping[str, object] = field(default_factory=dict)
+    flip: np.ndarray | None = None
 
     @property
     def n_nodes(self) -> int:
@@ -74,6 +79,7 @@ def ground_truth(
     tree: str = "depth-first",
     bases: Sequence[Basis] | None = None,
     point_maps: Mapping[tuple[int, int], np.ndarray] | None = None,
+    flip: np.ndarray | None = None,
 ) -> GroundTruth:
     """Ground-truth maps of a collection whose shapes share one vertex order.
 
@@ -92,6 +98,8 @@ def ground_truth(
         Bases computed before, at least n_basis functions each, to save time.
     point_maps
         For every edge (i, j) the vertex of j for each vertex of i, (V_i,): for shapes without a common vertex order.
+    flip
+        (V,) the mirror image of every vertex of the first shape, where the collection has a left–right symmetry.
 
     Returns
     -------
@@ -117,7 +125,7 @@ def ground_truth(
     if tree not in TREES:
         raise ValueError(f"tree: {tree!r} is none of {', '.join(TREES)}")
     if point_maps is None:
-        _require_common_order(shapes)
+        require_common_order(shapes)
     if bases is None:
         bases = [laplace_beltrami(shape.vertices, shape.faces, n_basis) for shape in shapes]
     bases = fix_signs([basis.truncated(n_basis) for basis in bases], point_maps)
@@ -134,7 +142,8 @@ def ground_truth(
     }
     distortion = np.linalg.norm(raw - measured, axis=(1, 2))
     absolute = absolute_maps(len(shapes), edges, measured, tree=tree, distortion=distortion)
-    return GroundTruth(absolute, edges, measured, tuple(bases), provenance)
+    mirror = None if flip is None else _nearest_orthogonal(functional_map(bases[0], bases[0], flip))
+    return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
 
 
 def measure_maps(
@@ -206,6 +215,8 @@ def absolute_maps(
 def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
     """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
 
+    Scales to thousands of nodes: give a sparse graph. Its mirror map ``flip`` turns half of the functions around.
+
     Examples
     --------
     >>> import data_gen
@@ -218,15 +229,12 @@ def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.r
     absolute = so.random_uniform(n, n_nodes, rng)
     absolute[0] = np.eye(n)
     provenance = {"protocol": "planted Haar rotations", "n_nodes": int(n_nodes), "n": int(n)}
-    truth = GroundTruth(absolute, edges, np.empty(0), (), provenance)
+    signs = np.where(np.arange(n) < 2 * (n // 4), -1.0, 1.0)  # an even number of odd functions: F is a rotation
+    truth = GroundTruth(absolute, edges, np.empty(0), (), provenance, np.diag(signs))
     return replace(truth, measured_maps=truth.maps)
 
 
-def _require_common_order(shapes: Sequence[Shape]) -> None:
-    counts = [len(shape.vertices) for shape in shapes]
-    odd = [f"{shape.name} ({count})" for shape, count in zip(shapes, counts) if count != counts[0]]
-    if odd:
-        raise ValueError(
-            f"shapes: a common vertex order needs equal vertex counts; {shapes[0].name} has {counts[0]}, but "
-            f"{', '.join(odd)}; give point_maps"
-        )
+def _nearest_orthogonal(a: np.ndarray) -> np.ndarray:
+    """Polar factor (n, n), of either determinant: mirroring turns odd functions around, and their number may be odd."""
+    u, _, vt = np.linalg.svd(a)
+    return u @ vt

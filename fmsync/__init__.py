@@ -19,10 +19,12 @@ _HOME = {  # public name -> the room it lives in
     "expected_rms_error": "bounds",
     "functional_map_from_descriptors": "functional_map",
     "laplace_beltrami": "shape",
+    "load_problem": "problem_io",
     "methods": "estimators",
     "point_map": "functional_map",
     "relative_error_bound": "bounds",
     "sample": "samplers",
+    "save_problem": "problem_io",
     "solve": "estimators",
 }
 _ROOMS = {

@@ -63,7 +63,7 @@ def _block_lanczos(apply, size, k, block, tolerance):
 
 
 def _orthonormal_rows(rows):
-    """Orthonormal rows and the triangle R with rows = R^T q: twice through a Cholesky factor, or by QR near rank loss."""
+    """Orthonormal rows and the triangle R with rows = R^T q: Cholesky twice, or QR near rank loss."""
     size = np.sqrt((rows * rows).sum(axis=1))
     gram = rows @ rows.T
     if not (size.min() > 0 and np.linalg.eigvalsh(gram / np.outer(size, size))[0] > 1e-4):
