@@ -56,6 +56,8 @@ class Estimate:
         Whether ``absolute`` are rotations; unconstrained estimates are not.
     n_starts, n_agreeing
         With ``restarts=k``: how many starts were made, and how many of them came to this cost.
+    edge_weights
+        (E,) in [0, 1] how far ``"robust"`` believed each edge; None for the others.
     """
 
     problem: SyncProblem
@@ -68,6 +70,7 @@ class Estimate:
     on_group: bool = True
     n_starts: int = 1
     n_agreeing: int = 1
+    edge_weights: np.ndarray | None = None
 
     @classmethod
     def from_absolute(cls, problem: SyncProblem, absolute: np.ndarray, method: str, **fields) -> "Estimate":
@@ -162,8 +165,7 @@ def solve(
     >>> fmsync.solve(p, "mle").cost < 1e-20
     True
     """
-    names = methods()
-    if method not in _REGISTRY:
+    if method not in _REGISTRY and method not in (names := methods()):  # looks through the folder only when it must
         close = difflib.get_close_matches(method, names)
         hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
         raise ValueError(f"method: no estimator is called {method!r}; {hint}")

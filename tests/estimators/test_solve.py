@@ -10,7 +10,9 @@ import data_gen
 import fmsync
 from fmsync import so
 
-ITERATIVE = [name for name in fmsync.methods() if name.startswith("mle") and name != "mle-unconstrained"]
+ITERATIVE = [
+    name for name in fmsync.methods() if (name.startswith("mle") and name != "mle-unconstrained") or name == "robust"
+]
 
 
 @pytest.mark.parametrize("method", fmsync.methods())

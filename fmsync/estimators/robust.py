@@ -1,0 +1,177 @@
+"""Estimates that some wrong maps do not spoil: reweighted least squares and a mixture with outliers."""
+
+import copy
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmsync import langevin
+from fmsync.estimators import Callback, Estimate, Trace, estimator, starting_point
+from fmsync.estimators._trust_region import Rotations, minimise
+from fmsync.problem import SyncProblem, gradient, relative_maps
+
+LOSSES = ("mixture", "geman-mcclure", "l1")
+_FLOOR = 1e-9  # least share of its weight that an edge keeps, so that the graph stays connected
+_LARGEST_KAPPA = 1e4  # clean maps would drive the concentration to infinity
+_SMOOTH = 1e-4  # per unit √n: residuals below it count as squares in the l1 loss, which has a kink at 0
+
+
+@estimator("robust")
+def robust(
+    problem: SyncProblem,
+    *,
+    rng: np.random.Generator,
+    callback: Callback,
+    loss: str = "mixture",
+    init: str | np.ndarray | Estimate = "spectral",
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+) -> Estimate:
+    r"""Minimise a robust cost of the residuals :math:`r = \lVert C_i^\top C_j - C_{ij}\rVert_F` over rotations.
+
+    Each round weighs every edge by how well it fits and solves the weighted least squares by trust regions; no round
+    raises the cost (iteratively reweighted least squares; for the mixture, expectation–maximisation). Losses:
+
+    * ``"mixture"``: an observation is Langevin with probability 1 - ε and Haar-uniform with probability ε,
+      :math:`-\sum w\log\bigl((1-\varepsilon)e^{\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j)}/c_n(\kappa)
+      + \varepsilon\bigr)`, with the exact normaliser :func:`fmsync.langevin.log_normaliser`; κ and ε are estimated.
+    * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
+    * ``"l1"``: :math:`\sum w\sqrt{r^2+\delta^2}`, :math:`\delta = 10^{-4}\sqrt n` (Wang & Singer 2013).
+
+    The first two start from the l1 answer.
+
+    Parameters
+    ----------
+    problem
+        Observed maps, some of them wrong; fewer than half at every node, and not in a conspiracy.
+    rng
+        Used by the start.
+    loss
+        ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
+    init, tolerance, max_iterations
+        As in ``"mle"``; iterations are rounds, and the gradient is that of the weighted squares, scaled to a mean
+        weight of 1. At a fixed point it is proportional to the gradient of the robust cost.
+
+    Returns
+    -------
+    Estimate
+        ``cost`` is the robust cost. ``edge_weights`` (E,) in [0, 1] says how far each edge was believed.
+
+    Raises
+    ------
+    ValueError
+        Unknown loss.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> maps = np.stack([np.eye(4)] * 6)
+    >>> maps[2] = fmsync.so.random_uniform(4, rng=0)
+    >>> p = fmsync.SyncProblem(4, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]], maps)
+    >>> fmsync.solve(p, "robust").edge_weights.round(3)
+    array([1., 1., 0., 1., 1., 1.])
+    """
+    if loss not in LOSSES:
+        raise ValueError(f"loss: one of {', '.join(LOSSES)}, not {loss!r}")
+    limits = {"tolerance": tolerance, "max_iterations": max_iterations}
+    absolute = starting_point(problem, init, rng)
+    if loss == "l1":
+        rule = _L1(problem)
+    else:
+        absolute = _reweigh(problem, _L1(problem), absolute, callback=None, tolerance=1e-2, max_iterations=50)[0]
+        rule = (_GemanMcClure if loss == "geman-mcclure" else _Mixture)(problem, _squares(problem, absolute))
+    absolute, cost, weights, converged, trace = _reweigh(problem, rule, absolute, callback=callback, **limits)
+    return Estimate.from_absolute(
+        problem,
+        absolute,
+        "robust",
+        cost=cost,
+        n_iterations=len(trace.cost) - 1,
+        converged=converged,
+        trace=trace,
+        edge_weights=weights,
+    )
+
+
+def _reweigh(problem, rule, absolute, *, callback, tolerance, max_iterations):
+    """Rounds of weights and weighted least squares: (rotations, cost, believed weights, converged, trace)."""
+    began = time.perf_counter()
+    history = []
+    while True:
+        squares = _squares(problem, absolute)
+        cost, believed = rule.update(squares)
+        scale = len(believed) / max(believed.sum(), 1e-300)
+        weighted = _weighted(problem, problem.weights * np.maximum(scale * believed, _FLOOR))
+        norm = float(np.linalg.norm(gradient(weighted, absolute)))
+        history.append((cost, norm, time.perf_counter() - began))
+        if callback is not None:
+            callback(len(history) - 1, absolute, cost, norm)
+        if norm <= tolerance or len(history) > max_iterations:
+            break
+        inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
+        absolute, _, _ = minimise(
+            Rotations(weighted), absolute, tolerance=inner, max_iterations=50, callback=lambda *_: None
+        )
+    trace = Trace(*(np.array(column) for column in zip(*history)))
+    return absolute, cost, np.clip(believed, 0, 1), norm <= tolerance, trace
+
+
+def _squares(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
+    """Squared residuals (E,)."""
+    residual = relative_maps(absolute, problem.edges) - problem.maps
+    return np.einsum("eab,eab->e", residual, residual)
+
+
+def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
+    """The same observations, shared and already validated, under other weights."""
+    new = copy.copy(problem)
+    for name in ("degrees", "connection", "constant"):
+        new.__dict__.pop(name, None)  # cached from the old weights
+    object.__setattr__(new, "weights", weights)
+    return new
+
+
+class _L1:
+    def __init__(self, problem: SyncProblem):
+        self._problem = problem
+        self._smooth = _SMOOTH * np.sqrt(problem.n)
+
+    def update(self, squares):
+        distance = np.sqrt(squares + self._smooth**2)
+        cost = float(self._problem.weights @ distance)
+        return cost, distance.min() / distance
+
+
+class _GemanMcClure:
+    def __init__(self, problem: SyncProblem, squares: np.ndarray):
+        self._problem = problem
+        self._scale = max(1.5**2 * float(np.median(squares)), _SMOOTH**2 * problem.n)
+
+    def update(self, squares):
+        cost = float(self._problem.weights @ (self._scale * squares / (self._scale + squares)))
+        return cost, (self._scale / (self._scale + squares)) ** 2
+
+
+@dataclass
+class _Mixture:
+    """Expectation–maximisation; every update first sets κ and ε to their best values for the last beliefs."""
+
+    problem: SyncProblem
+    first: np.ndarray
+
+    def __post_init__(self):
+        self._believed = (self.first <= 1.5**2 * np.median(self.first)).astype(float)
+        self._size = (self.problem.maps**2).sum((1, 2)) + self.problem.n  # r² = size - 2 tr
+
+    def update(self, squares):
+        n, weights = self.problem.n, self.problem.weights
+        trace = (self._size - squares) / 2
+        believed = weights * self._believed
+        cosine = float(believed @ trace / believed.sum() / n)
+        kappa = langevin.matched_kappa(n, min(cosine, langevin.mean_cosine(n, _LARGEST_KAPPA)))
+        outliers = float(np.clip(1 - believed.sum() / weights.sum(), 1e-3, 1 - 1e-3))
+        inlier = np.log1p(-outliers) + kappa * trace - langevin.log_normaliser(n, kappa)
+        total = np.logaddexp(inlier, np.log(outliers))
+        self._believed = np.exp(inlier - total)
+        return -float(weights @ total), self._believed
