@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmsync import so
 from fmsync._threads import single_threaded_blas
-from fmsync.problem import SyncProblem, check_rotations, energy, fix_gauge, relative_maps
+from fmsync.estimators._groups import nearest
+from fmsync.problem import SyncProblem, energy, fix_gauge, relative_maps
 
 Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolute (N,n,n), cost, gradient norm)
 
-_ROUGH = 0.01  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+_FAR = 0.5  # distortion of a map above which its user is warned; a map with a quarter of its rank missing has it
 
 _REGISTRY: dict[str, Callable] = {}
 
@@ -73,9 +73,11 @@ class Estimate:
     edge_weights: np.ndarray | None = None
 
     @classmethod
-    def from_absolute(cls, problem: SyncProblem, absolute: np.ndarray, method: str, **fields) -> "Estimate":
+    def from_absolute(
+        cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields
+    ) -> "Estimate":
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
-        absolute = fix_gauge(so.project(absolute))
+        absolute = fix_gauge(nearest(absolute, group))
         absolute[0] = np.eye(problem.n)
         fields.setdefault("cost", float(energy(problem, absolute)))
         return cls(problem, method, absolute, **fields)
@@ -152,6 +154,8 @@ def solve(
     -----
     RuntimeWarning
         The method stopped before its tolerance was met; ``converged`` is then False.
+    UserWarning
+        Maps far from orthogonal met a method that answers with rotations; names the worst edge.
 
     Raises
     ------
@@ -185,26 +189,21 @@ def solve(
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
+    worst = int(np.argmax(problem.distortion))
+    if estimate.on_group and problem.distortion[worst] > _FAR:
+        edge = tuple(problem.edges[worst].tolist())
+        message = (
+            f"maps: edge {worst} {edge} is far from orthogonal (‖CᵀC - I‖/√n = {problem.distortion[worst]:.2g}); "
+            "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
+        )
+        warnings.warn(message, UserWarning, stacklevel=2)
     return estimate
-
-
-def starting_point(problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator) -> np.ndarray:
-    """Rotations (N, n, n) to start from: "spectral", "random" (Haar), given rotations, or an earlier estimate's."""
-    if isinstance(init, str):
-        if init == "random":
-            return so.random_uniform(problem.n, problem.n_nodes, rng)
-        if init == "spectral":
-            return solve(problem, "spectral", rng=rng, tolerance=_ROUGH).absolute
-        raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
-    absolute = np.array(init.absolute if isinstance(init, Estimate) else init, dtype=float)
-    if absolute.shape != (problem.n_nodes, problem.n, problem.n):
-        raise ValueError(f"init: expected {(problem.n_nodes, problem.n, problem.n)}, got {absolute.shape}")
-    check_rotations(absolute, "init")
-    return absolute
 
 
 def _nothing(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
     """The callback of a caller who gave none."""
 
 
-from fmsync.estimators.restarts import best_of_starts, mean_of_starts  # noqa: E402, F401  (needs solve, above)
+# These need what stands above.
+from fmsync.estimators._starts import starting_point  # noqa: E402, F401
+from fmsync.estimators.restarts import best_of_starts, mean_of_starts  # noqa: E402, F401

@@ -14,6 +14,7 @@ def mle(
     rng: np.random.Generator,
     callback: Callback,
     init: str | np.ndarray | Estimate = "spectral",
+    group: str = "SO",
     tolerance: float = 1e-6,
     max_iterations: int = 500,
 ) -> Estimate:
@@ -28,7 +29,11 @@ def mle(
     rng
         Used by the start.
     init
-        ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`Estimate`.
+        ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`Estimate`, also of a problem that had
+        only the first few of these nodes: after a change this costs a fraction of a solution from nothing.
+    group
+        ``"SO"`` for rotations; ``"O"`` for orthogonal matrices, where maps may reverse orientation. Steps keep every
+        determinant, so that the start decides them; :func:`fmsync.certify` says whether it decided well.
     tolerance
         Norm of the Riemannian gradient of U_E at which to stop.
     max_iterations
@@ -46,10 +51,10 @@ def mle(
     >>> fmsync.solve(p, "mle").cost < 1e-20
     True
     """
-    start = starting_point(problem, init, rng)
+    start = starting_point(problem, init, rng, group)
     absolute, converged, trace = minimise(
         Rotations(problem), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
     )
     return Estimate.from_absolute(
-        problem, absolute, "mle", n_iterations=len(trace.cost) - 1, converged=converged, trace=trace
+        problem, absolute, "mle", group, n_iterations=len(trace.cost) - 1, converged=converged, trace=trace
     )

@@ -25,6 +25,7 @@ def robust(
     callback: Callback,
     loss: str = "mixture",
     init: str | np.ndarray | Estimate = "spectral",
+    group: str = "SO",
     tolerance: float = 1e-6,
     max_iterations: int = 500,
 ) -> Estimate:
@@ -33,7 +34,7 @@ def robust(
     Each round weighs every edge by how well it fits and solves the weighted least squares by trust regions; no round
     raises the cost (iteratively reweighted least squares; for the mixture, expectation–maximisation). Losses:
 
-    * ``"mixture"``: an observation is Langevin with probability 1 - ε and Haar-uniform with probability ε,
+    * ``"mixture"``: an observation is Langevin with probability 1 - ε and Haar-uniform on SO(n) with probability ε,
       :math:`-\sum w\log\bigl((1-\varepsilon)e^{\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j)}/c_n(\kappa)
       + \varepsilon\bigr)`, with the exact normaliser :func:`fmsync.langevin.log_normaliser`; κ and ε are estimated.
     * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
@@ -49,7 +50,7 @@ def robust(
         Used by the start.
     loss
         ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    init, tolerance, max_iterations
+    init, group, tolerance, max_iterations
         As in ``"mle"``; iterations are rounds, and the gradient is that of the weighted squares, scaled to a mean
         weight of 1. At a fixed point it is proportional to the gradient of the robust cost.
 
@@ -75,7 +76,7 @@ def robust(
     if loss not in LOSSES:
         raise ValueError(f"loss: one of {', '.join(LOSSES)}, not {loss!r}")
     limits = {"tolerance": tolerance, "max_iterations": max_iterations}
-    absolute = starting_point(problem, init, rng)
+    absolute = starting_point(problem, init, rng, group)
     if loss == "l1":
         rule = _L1(problem)
     else:
@@ -86,6 +87,7 @@ def robust(
         problem,
         absolute,
         "robust",
+        group,
         cost=cost,
         n_iterations=len(trace.cost) - 1,
         converged=converged,

@@ -3,14 +3,16 @@
 import networkx as nx
 import numpy as np
 
-from fmsync import so
 from fmsync.estimators import Callback, Estimate, estimator
+from fmsync.estimators._groups import check_group, nearest
 from fmsync.problem import SyncProblem, gradient
 
 
 @estimator("spanning-tree")
-def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback) -> Estimate:
+def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO") -> Estimate:
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
+
+    ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
 
     Examples
     --------
@@ -19,16 +21,17 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
     >>> fmsync.solve(p, "spanning-tree").cost
     0.0
     """
+    check_group(group)
     graph = nx.empty_graph(problem.n_nodes)
     for e in np.argsort(problem.weights, kind="stable"):  # heavier ones overwrite lighter ones
         graph.add_edge(*problem.edges[e].tolist(), index=int(e))
-    maps = so.project(problem.maps)
+    maps = nearest(problem.maps, group)
     absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
     absolute[0] = np.eye(problem.n)
     for parent, child in nx.bfs_edges(graph, 0, sort_neighbors=sorted):
         e = graph.edges[parent, child]["index"]
         forward = problem.edges[e, 0] == parent
         absolute[child] = absolute[parent] @ (maps[e] if forward else maps[e].T)
-    estimate = Estimate.from_absolute(problem, absolute, "spanning-tree")
+    estimate = Estimate.from_absolute(problem, absolute, "spanning-tree", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
     return estimate

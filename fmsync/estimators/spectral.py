@@ -8,6 +8,7 @@ from scipy.sparse.linalg import LinearOperator, lobpcg
 
 from fmsync import so
 from fmsync.estimators import Callback, Estimate, estimator
+from fmsync.estimators._groups import check_group
 from fmsync.problem import SyncProblem, gradient, neighbour_sums
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
@@ -15,7 +16,12 @@ _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense 
 
 @estimator("spectral")
 def spectral(
-    problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, tolerance: float = 1e-6
+    problem: SyncProblem,
+    *,
+    rng: np.random.Generator,
+    callback: Callback,
+    group: str = "SO",
+    tolerance: float = 1e-6,
 ) -> Estimate:
     r"""Synchronize by the leading eigenvectors of the degree-normalised connection matrix.
 
@@ -29,6 +35,8 @@ def spectral(
         N nodes, E observed maps (n, n).
     rng
         Draws the start of the block iteration.
+    group
+        ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
     tolerance
         Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
 
@@ -44,11 +52,14 @@ def spectral(
     >>> bool(np.allclose(fmsync.solve(p, "spectral").relative(), np.eye(4)))
     True
     """
+    check_group(group)
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
     frame = _leading_eigenvectors(problem, scale, rng, tolerance)  # (N n, n)
     blocks = so.transpose(frame.reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]  # C_i up to one frame
-    estimate = Estimate.from_absolute(problem, so.project(_common_orientation(blocks)), "spectral")
+    if group == "SO":
+        blocks = _common_orientation(blocks)
+    estimate = Estimate.from_absolute(problem, blocks, "spectral", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
     return estimate
 
