@@ -13,6 +13,8 @@ _HOME = {  # public name -> the room it lives in
     "Estimate": "estimators",
     "LangevinPrior": "problem",
     "Posterior": "samplers",
+    "RectangularEstimate": "rectangular",
+    "RectangularSyncProblem": "rectangular",
     "Shape": "shape",
     "SyncProblem": "problem",
     "certify": "certificate",
@@ -26,6 +28,7 @@ _HOME = {  # public name -> the room it lives in
     "sample": "samplers",
     "save_problem": "problem_io",
     "solve": "estimators",
+    "solve_rectangular": "rectangular",
 }
 _ROOMS = {
     "bounds",
@@ -35,6 +38,7 @@ _ROOMS = {
     "langevin",
     "oracle",
     "problem",
+    "rectangular",
     "samplers",
     "shape",
     "so",
