@@ -44,12 +44,12 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _half_skin(n_vertices):
-    """Contour y >= 0 and refine until every future vertex has some twenty samples; the rim lies exactly in y = 0."""
+    """Contour y >= 0 and refine until every future vertex has a good dozen samples; the rim lies exactly in y = 0."""
     step = 0.008
     counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
     grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)
     surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
-    while surface.n_points < 10 * n_vertices:
+    while surface.n_points < 7 * n_vertices:
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
     points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0

@@ -211,7 +211,7 @@ class Rig:
         ).tocsr()
         certainty = np.clip((self.weights.max(axis=1) - 0.6) / 0.4, 0, 1) ** 2
         self._anchor = _ANCHOR * certainty * stiffness.diagonal()
-        self._solve = splu((stiffness + diags_array(self._anchor)).tocsc(), permc_spec="MMD_AT_PLUS_A").solve
+        self._solve = _factorised(stiffness + diags_array(self._anchor)).solve
 
     def pose(self, pose: Pose, tone: np.ndarray) -> np.ndarray:
         """Vertices (V, 3) for joint angles and a muscle tone (B,)."""
@@ -239,6 +239,11 @@ class Rig:
         both = 0.5 * (rotations[self._from] + rotations[self._to])
         pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, rest)
         return self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
+
+
+def _factorised(matrix):
+    """Sparse factors of a symmetric positive definite matrix: without pivoting they fill in far less."""
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _bone_radii():
@@ -279,7 +284,7 @@ def _skinning_weights(vertices, stiffness, areas):
     nearest = np.argmin([cone_distance(vertices, cone) for cone in skin_cones], axis=0)
     owner = np.array([names.index(cone.bone) for cone in skin_cones])[nearest]
     weights = np.eye(len(names))[owner]
-    heat = splu((diags_array(areas) + _SMOOTHING**2 * stiffness).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    heat = _factorised(diags_array(areas) + _SMOOTHING**2 * stiffness)
     for _ in range(2):
         weights = heat.solve(areas[:, None] * weights)
     return weights

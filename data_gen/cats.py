@@ -1,8 +1,8 @@
 """Synthetic cats: near-isometric poses of one quadruped with one triangulation, made here and nowhere else."""
 
 import hashlib
+import itertools
 from collections.abc import Iterable
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from fmsync.shape import Shape
 
 _GROWTH = 0.04  # how much larger the right half is when the symmetry is broken
 _JITTER = 1.5  # degrees, of every joint of every cat
+_EASE = 0.96  # share of the joint angles that is kept from one try to the next
 _DRAWS = 30  # tries to find a pose that does not pass through itself
 _MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
 
@@ -97,7 +98,7 @@ def _build(count, n_vertices, seed, symmetric):
     posed = []
     for k in range(count):
         rng = np.random.default_rng([seed, k])
-        candidates = (rig.pose(pose, muscle_tone(k)) for pose in islice(_candidates(k, rng), _DRAWS))
+        candidates = (rig.pose(pose, muscle_tone(k)) for pose in itertools.islice(_candidates(k, rng), _DRAWS))
         free = (vertices for vertices in candidates if len(self_intersections(vertices, rest["faces"])) == 0)
         vertices = next(free, None)
         if vertices is None:
@@ -115,15 +116,19 @@ def _grow_right_half(vertices):
 
 
 def _candidates(k: int, rng) -> Iterable[Pose]:
-    """Endless draws of the k-th pose: the first that does not pass through itself is taken."""
+    """Endless draws of the k-th pose, each bent a little less than the one before.
+
+    The first that does not pass through itself is taken; a fine mesh resolves creases that a coarse one steps over.
+    """
     named = list(POSES.values())
-    while True:
+    for attempt in itertools.count():
+        ease = _EASE**attempt
         if k < len(named):
             pose, spread = named[k], _JITTER
         else:
             first, second = (named[index] for index in rng.choice(len(named), 2, replace=False))
             pose, spread = _between(first, second, rng.uniform(0.25, 0.75)), 3 * _JITTER
-        yield {joint: tuple(np.array(angles) + spread * rng.standard_normal(3)) for joint, angles in pose.items()}
+        yield {joint: tuple(ease * np.array(a) + spread * rng.standard_normal(3)) for joint, a in pose.items()}
 
 
 def _between(first: Pose, second: Pose, share: float) -> Pose:
