@@ -1,0 +1,49 @@
+"""What a problem generator hands to the benchmark: a problem, its truth, and what can be expected of an answer."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fmsync.problem import SyncProblem, relative_maps
+from fmsync.shape import Basis
+
+_MOST_PAIRS = 2000  # pairs that an "all pairs" metric looks at; larger problems show a fixed random sample
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """A problem with a known answer. Methods see ``problem`` alone, controls that ask for it see the truth too.
+
+    Attributes
+    ----------
+    problem
+        What was observed.
+    truth
+        (N, n, n) rotations.
+    references
+        Numbers to draw beside the measured ones, by metric name: error floor, expected line.
+    bases
+        The N bases of the shapes, where point maps are to be scored; else ().
+    distances
+        (V, V) geodesic distances between the vertices of each shape, in units of the square root of its area, for
+        scoring point maps; same length as ``bases``.
+    """
+
+    problem: SyncProblem
+    truth: np.ndarray
+    references: Mapping[str, float] = field(default_factory=dict)
+    bases: tuple[Basis, ...] = ()
+    distances: tuple[np.ndarray, ...] = ()
+
+    def relative(self, pairs: np.ndarray) -> np.ndarray:
+        """True relative maps (K, n, n) of pairs (K, 2)."""
+        return relative_maps(self.truth, pairs)
+
+    def pairs(self) -> np.ndarray:
+        """(K, 2) pairs i < j of all nodes; 2000 fixed random ones of a problem that has more."""
+        n_nodes = self.problem.n_nodes
+        if n_nodes * (n_nodes - 1) // 2 <= _MOST_PAIRS:
+            return np.stack(np.triu_indices(n_nodes, 1), axis=1)
+        pairs = np.sort(np.random.default_rng(0).integers(n_nodes, size=(4 * _MOST_PAIRS, 2)), axis=1)
+        return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)[::3][:_MOST_PAIRS]
