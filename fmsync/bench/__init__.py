@@ -1,0 +1,1 @@
+"""Suites of problems and methods, run cell by cell: ``fmsync bench run SUITE``."""
