@@ -1,10 +1,7 @@
 """The eigenvector relaxation of Singer (2011): a start for every other estimator, and hard to beat at low noise."""
 
-import warnings
-
 import numpy as np
 from scipy.linalg import eigh
-from scipy.sparse.linalg import LinearOperator, lobpcg
 
 from fmsync import so
 from fmsync.estimators import Callback, Estimate, estimator
@@ -12,6 +9,10 @@ from fmsync.estimators._groups import check_group
 from fmsync.problem import SyncProblem, gradient, neighbour_sums
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
+_DEPTH, _CYCLES = (
+    8,
+    12,
+)  # products between two Rayleigh–Ritz steps, which store as many blocks; and how many such cycles
 
 
 @estimator("spectral")
@@ -69,18 +70,43 @@ def _leading_eigenvectors(
 ) -> np.ndarray:
     """Leading n eigenvectors of the normalised connection matrix, (N n, n): dense, or by blocks without forming it."""
     size, n = len(scale), problem.n
-    if problem.is_dense and size <= _BLOCKS_FROM:
+    if size <= max(_BLOCKS_FROM, _DEPTH * n):
         return eigh(scale[:, None] * problem.connection * scale, subset_by_index=[size - n, size - 1])[1]
 
     def multiply(x):  # (N n, m)
         rows = so.transpose((scale[:, None] * x).reshape(problem.n_nodes, n, -1))
         return scale[:, None] * so.transpose(neighbour_sums(problem, rows)).reshape(size, -1)
 
-    operator = LinearOperator((size, size), matvec=lambda x: multiply(x[:, None])[:, 0], matmat=multiply)
-    start = np.linalg.qr(multiply(rng.standard_normal((size, n))))[0]
-    with warnings.catch_warnings():  # past the recovery threshold there is no gap to converge by; the cost will tell
-        warnings.simplefilter("ignore", UserWarning)
-        return lobpcg(operator, start, largest=True, tol=tolerance, maxiter=60)[1]
+    return _block_krylov(multiply, np.linalg.qr(rng.standard_normal((size, n)))[0], tolerance)
+
+
+def _block_krylov(multiply, x: np.ndarray, tolerance: float) -> np.ndarray:
+    """Leading eigenvectors (size, n) of a symmetric operator by restarted block Lanczos, from orthonormal x (size, n).
+
+    Past the recovery threshold there is no gap to converge by: after the last cycle the best there is is returned.
+    """
+    size, n = x.shape
+    basis = np.empty((_DEPTH * n, size))  # orthonormal rows
+    for _ in range(_CYCLES):
+        projected = np.zeros((_DEPTH * n, _DEPTH * n))  # upper triangle of the operator in that basis
+        rows = x.T
+        for used in range(n, _DEPTH * n + 1, n):
+            basis[used - n : used] = rows
+            known = basis[:used]
+            image = multiply(rows.T).T
+            overlap = known @ image.T
+            projected[:used, used - n : used] = overlap
+            q, coupling = np.linalg.qr(image.T - known.T @ overlap)
+            q, _ = np.linalg.qr(q - known.T @ (known @ q))  # once more: what was left may have been rounding
+            rows = q.T
+            combination = np.linalg.eigh(projected[:used, :used], UPLO="U")[1][:, -n:]
+            done = np.linalg.norm(coupling @ combination[-n:], axis=0).max() <= tolerance
+            if done:
+                break
+        x = known.T @ combination
+        if done:
+            break
+    return x
 
 
 def _common_orientation(blocks: np.ndarray) -> np.ndarray:

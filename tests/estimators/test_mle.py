@@ -62,7 +62,7 @@ def test_spectral_by_blocks_equals_the_dense_eigensolver(planted, monkeypatch):
     from fmsync.estimators import spectral
 
     problem, _ = planted(n_nodes=30, n=5, sigma2=0.1, graph=nx.random_regular_graph(8, 30, seed=0))
-    by_dense = fmsync.solve(problem, "spectral")
+    by_dense = fmsync.solve(problem, "spectral")  # 150 x 150
     monkeypatch.setattr(spectral, "_BLOCKS_FROM", 0)
     by_blocks = fmsync.solve(problem, "spectral")
     np.testing.assert_allclose(by_blocks.relative(), by_dense.relative(), atol=1e-4)
