@@ -1,6 +1,7 @@
 """Where problems come from: shape collections, graphs, ground truth and noise. fmsync never imports this package."""
 
-from data_gen.collections import load_collection
+from data_gen.cats import left_right_flip
+from data_gen.collections import correspondence_maps, load_collection, load_correspondences
 from data_gen.graphs import graph_edges, random_graph
 from data_gen.noise import perturb
 from data_gen.truth import GroundTruth, absolute_maps, fix_signs, ground_truth, measure_maps, planted
@@ -8,10 +9,13 @@ from data_gen.truth import GroundTruth, absolute_maps, fix_signs, ground_truth, 
 __all__ = [
     "GroundTruth",
     "absolute_maps",
+    "correspondence_maps",
     "fix_signs",
     "graph_edges",
     "ground_truth",
+    "left_right_flip",
     "load_collection",
+    "load_correspondences",
     "measure_maps",
     "perturb",
     "planted",

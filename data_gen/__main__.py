@@ -1,11 +1,13 @@
 """Commands about shape collections: ``python -m data_gen --help``."""
 
 import argparse
+import json
 import sys
 
 from data_gen.collections import load_collection
 from data_gen.fingerprints import known_collections, same_triangulation, verify
 from data_gen.isometry import edge_distortion
+from data_gen.report import collection_report
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -19,13 +21,16 @@ def main(arguments: list[str] | None = None) -> int:
     for name, what in (
         ("list", "names, vertex and face counts"),
         ("isometry", "mean |log edge-length ratio| over all pairs, shapes scaled to unit area"),
+        ("report", "isometry, spectra, cycle errors and determinants at n = 20, as JSON"),
         ("verify", "compare counts and fingerprints with the table that comes with the project"),
     ):
         command = commands.add_parser(name, help=what, description=what)
         command.add_argument("collection", nargs="?" if name != "verify" else None, default=None)
     options = parser.parse_args(arguments)
     try:
-        return {"list": _list, "isometry": _isometry, "verify": _verify}[options.command](options.collection)
+        return {"list": _list, "isometry": _isometry, "report": _report, "verify": _verify}[options.command](
+            options.collection
+        )
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
@@ -46,6 +51,11 @@ def _isometry(collection):
     values = edge_distortion(shapes)
     print(f"{len(shapes)} shapes, {len(values)} pairs: mean {values.mean():.3f}, range {values.min():.3f}", end="")
     print(f"–{values.max():.3f}")
+    return 0
+
+
+def _report(collection):
+    print(json.dumps(collection_report(load_collection(collection))))
     return 0
 
 

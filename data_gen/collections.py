@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
 from data_gen.mesh_io import SUFFIXES, read_shape
@@ -103,6 +104,42 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
         if len(points) != len(found[0]):
             raise ValueError(f"{shape.name}: {len(points)} template points, {shapes[0].name} has {len(found[0])}")
     return found
+
+
+def correspondence_maps(
+    shapes: Sequence[Shape], correspondences: Sequence[np.ndarray], edges: np.ndarray
+) -> dict[tuple[int, int], np.ndarray]:
+    """Point maps of the edges of shapes that know a common template, for ``ground_truth(..., point_maps=...)``.
+
+    Every vertex of shape i goes where its nearest template point lies on shape j; straight-line distances, so the
+    template should be dense.
+
+    Parameters
+    ----------
+    shapes
+        N shapes of any vertex counts.
+    correspondences
+        N arrays (K,), the vertex of each shape for every point of the template (``load_correspondences``).
+    edges
+        (E, 2) pairs (i, j).
+
+    Returns
+    -------
+    dict
+        (i, j) to (V_i,) vertices of j.
+
+    Examples
+    --------
+    >>> shape = load_collection("cats", count=1, n_vertices=1000)[0]
+    >>> maps = correspondence_maps([shape, shape], [np.arange(1000)] * 2, [[0, 1]])
+    >>> bool((maps[0, 1] == np.arange(1000)).all())
+    True
+    """
+    edges = [(int(i), int(j)) for i, j in np.asarray(edges)]
+    nearest = {}  # template point for every vertex of a shape
+    for i in {i for i, _ in edges}:
+        nearest[i] = cKDTree(shapes[i].vertices[correspondences[i]]).query(shapes[i].vertices)[1]
+    return {(i, j): correspondences[j][nearest[i]] for i, j in edges}
 
 
 def _read_correspondence(folder, shape):

@@ -53,14 +53,13 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
     if n_edges == n_pairs:
         graph = nx.complete_graph(n_nodes)
     else:
-        graph.add_edges_from(_random_tree(n_nodes, rng))
-        while graph.number_of_edges() < n_edges:  # few collisions below half density; dense graphs have few nodes
-            batch = rng.integers(n_nodes, size=(4 * (n_edges - graph.number_of_edges()), 2))
-            for i, j in batch[batch[:, 0] != batch[:, 1]].tolist():
-                if graph.number_of_edges() == n_edges:
-                    break
-                graph.add_edge(i, j)
-    graph.graph.update(density=float(density), achieved_density=graph.number_of_edges() / n_pairs)
+        chosen = {tuple(sorted(edge)) for edge in _random_tree(n_nodes, rng)}
+        while len(chosen) < n_edges:
+            for i, j in rng.integers(n_nodes, size=(2 * (n_edges - len(chosen)), 2)).tolist():
+                if i != j and len(chosen) < n_edges:
+                    chosen.add((min(i, j), max(i, j)))
+        graph.add_edges_from(sorted(chosen))
+    graph.graph.update(density=float(density), achieved_density=n_edges / n_pairs)
     return graph
 
 

@@ -96,3 +96,17 @@ def test_bad_input(shapes):
         data_gen.ground_truth(shapes, nx.complete_graph(4), 5, tree="longest")
     with pytest.raises(ValueError, match="2 components"):
         data_gen.ground_truth(shapes, nx.Graph([(0, 1), (2, 3)]), 5)
+
+
+def test_correspondence_files_reach_shapes_of_unequal_vertex_counts(shapes):
+    """A finer mesh of the same pose, known through a common template, gives nearly the same maps."""
+    fine = data_gen.load_collection("cats", count=2, n_vertices=1500)[1]
+    nearest = np.linalg.norm(shapes[1].vertices[:, None] - fine.vertices, axis=2).argmin(axis=1)
+    identity = np.arange(shapes[0].n_vertices)
+    graph = nx.path_graph(3)
+    mixed = [shapes[0], fine, shapes[2]]
+    maps = data_gen.correspondence_maps(mixed, [identity, nearest, identity], data_gen.graph_edges(graph))
+    assert [len(maps[edge]) for edge in ((0, 1), (1, 2))] == [1000, 1500]
+    truth = data_gen.ground_truth(mixed, graph, 10, point_maps=maps)
+    same_order = data_gen.ground_truth(shapes[:3], graph, 10)
+    np.testing.assert_allclose(np.abs(truth.measured_maps), np.abs(same_order.measured_maps), atol=0.05)
