@@ -8,7 +8,7 @@ from fmsync.estimators._groups import check_group, nearest
 from fmsync.estimators.spectral import spectral
 from fmsync.problem import SyncProblem, check_rotations, neighbour_sums
 
-_ROUGH = 0.01  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+_ROUGH = 0.03  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
 def starting_point(
