@@ -45,5 +45,7 @@ class Planted:
         n_nodes = self.problem.n_nodes
         if n_nodes * (n_nodes - 1) // 2 <= _MOST_PAIRS:
             return np.stack(np.triu_indices(n_nodes, 1), axis=1)
-        pairs = np.sort(np.random.default_rng(0).integers(n_nodes, size=(4 * _MOST_PAIRS, 2)), axis=1)
-        return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)[::3][:_MOST_PAIRS]
+        rng = np.random.default_rng(0)
+        drawn = np.sort(rng.integers(n_nodes, size=(4 * _MOST_PAIRS, 2)), axis=1)
+        pairs = np.unique(drawn[drawn[:, 0] != drawn[:, 1]], axis=0)
+        return pairs[np.sort(rng.permutation(len(pairs))[:_MOST_PAIRS])]

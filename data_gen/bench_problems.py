@@ -1,0 +1,132 @@
+"""Problems of the benchmark suites, made from plain parameters and a seed.
+
+A suite names a function of this file, such as ``data_gen.bench_problems:rotations``; fmsync imports it while it runs.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from data_gen.collections import load_collection
+from data_gen.graphs import random_graph
+from data_gen.noise import perturb
+from data_gen.truth import GroundTruth, ground_truth
+from data_gen.truth import planted as planted_rotations
+from fmsync import bounds, laplace_beltrami
+from fmsync.bench.planted import Planted
+
+
+def rotations(
+    *,
+    seed: int,
+    n_nodes: int,
+    n: int,
+    density: float = 1.0,
+    sigma2: float | None = None,
+    kappa: float | None = None,
+    noise: str = "projected-gaussian",
+    two_way: bool = False,
+    outliers: float = 0.0,
+) -> Planted:
+    """Haar-random absolute maps on a random connected graph.
+
+    Examples
+    --------
+    >>> from data_gen.bench_problems import rotations
+    >>> rotations(seed=0, n_nodes=4, n=5, sigma2=0.1).problem.n_edges
+    6
+    """
+    for_graph, for_truth, for_noise = _streams(seed)
+    truth = planted_rotations(n_nodes, n, random_graph(n_nodes, density, for_graph), for_truth)
+    return _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers)
+
+
+def shapes(
+    *,
+    seed: int,
+    n_nodes: int,
+    n: int,
+    collection: str = "cats",
+    n_vertices: int = 5000,
+    density: float = 1.0,
+    sigma2: float | None = None,
+    kappa: float | None = None,
+    noise: str = "projected-gaussian",
+    around: str = "consistent",
+    two_way: bool = False,
+    outliers: float = 0.0,
+    outlier_kind: str = "haar",
+    points: bool = False,
+) -> Planted:
+    """Functional maps between ``n_nodes`` random shapes of a collection, in the paper's protocol.
+
+    Parameters
+    ----------
+    seed
+        Chooses the shapes, the graph and the noise.
+    collection, n_vertices
+        See :func:`data_gen.load_collection`; vertices are those of the synthetic cats.
+    points
+        Bring the bases and geodesic distances, so that point maps can be scored: for shapes of few vertices.
+    """
+    for_graph, for_choice, for_noise = _streams(seed)
+    loaded, bases = _collection(collection, n_vertices, n)
+    if n_nodes > len(loaded):
+        raise ValueError(f"n_nodes: {n_nodes} shapes of a collection of {len(loaded)}")
+    chosen = np.sort(for_choice.permutation(len(loaded))[:n_nodes])
+    truth = ground_truth(
+        [loaded[k] for k in chosen], random_graph(n_nodes, density, for_graph), n, bases=[bases[k] for k in chosen]
+    )
+    if outlier_kind == "flip":
+        raise ValueError("outlier_kind: 'flip' needs a collection with a mirror map; use 'haar'")
+    planted = _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers, around)
+    if not points:
+        return planted
+    distances = tuple(_distances(collection, n_vertices, int(k)) for k in chosen)
+    return Planted(planted.problem, planted.truth, planted.references, truth.bases, distances)
+
+
+def _streams(seed: int) -> list[np.random.Generator]:
+    """Generators of graph, truth and noise: the graph does not change when the noise takes one number more."""
+    return [np.random.default_rng([int(seed), k]) for k in range(3)]
+
+
+def _observed(truth: GroundTruth, rng, sigma2, kappa, noise, two_way, outliers, around="consistent") -> Planted:
+    problem = perturb(truth, sigma2, rng, noise=noise, kappa=kappa, two_way=two_way, outliers=outliers, around=around)
+    return Planted(problem, truth.absolute, _references(problem, sigma2, kappa, noise, outliers))
+
+
+def _references(problem, sigma2, kappa, noise, outliers) -> dict[str, float]:
+    """Root mean squares over the edges of the error floor and of the expected error, where theory knows them."""
+    if outliers or not (sigma2 or kappa):
+        return {}
+    n_nodes, n, edges = problem.n_nodes, problem.n, np.unique(np.sort(problem.edges, axis=1), axis=0)
+    resistance = bounds.effective_resistance(n_nodes, problem.edges, edges).mean()
+    d = n * (n - 1) / 2
+    if noise == "langevin":
+        one_edge = bounds.langevin_error_bound(2, np.array([[0, 1]]), n, kappa)[0]  # R = 1
+        return {"floor_rms": float(np.sqrt(one_edge * resistance))}
+    found = {"floor_rms": float(np.sqrt(d * sigma2 * resistance))}
+    if noise == "projected-gaussian":
+        one_edge = bounds.expected_rms_error(2, np.array([[0, 1]]), n, sigma2)[0]
+        found["expected_rms"] = float(one_edge * np.sqrt(resistance))
+    return found
+
+
+@lru_cache(maxsize=4)
+def _collection(name: str, n_vertices: int, n: int):
+    loaded = load_collection(name, n_vertices=n_vertices) if name == "cats" else load_collection(name)
+    return loaded, [laplace_beltrami(shape.vertices, shape.faces, n) for shape in loaded]
+
+
+@lru_cache(maxsize=16)
+def _distances(name: str, n_vertices: int, k: int) -> np.ndarray:
+    """(V, V) heat-method geodesic distances on one shape, in units of the square root of its area, float32."""
+    import potpourri3d
+
+    shape = load_collection(name, n_vertices=n_vertices)[k] if name == "cats" else load_collection(name)[k]
+    corners = shape.vertices[shape.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    solver = potpourri3d.MeshHeatMethodDistanceSolver(shape.vertices, shape.faces)
+    distances = np.stack([solver.compute_distance(v) for v in range(len(shape.vertices))])
+    return (np.maximum(distances, distances.T) / np.sqrt(area)).astype(np.float32)

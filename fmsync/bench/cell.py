@@ -1,0 +1,246 @@
+"""Run one cell within its limits and say honestly how it went."""
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import platform
+import re
+import resource
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from fmsync import oracle
+from fmsync._threads import single_threaded_blas
+from fmsync.bench import methods, metrics
+from fmsync.bench.planted import Planted
+from fmsync.bench.suites import Cell, generator_function
+from fmsync.functional_map import point_map
+from fmsync.problem import SyncProblem, cycle_error
+
+_GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
+_MOST_DRAWS = 1000
+_STATUS = Path("/proc/self/status")
+_SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
+_LARGEST_POINT_ERROR = 0.25
+_VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
+
+
+class CellTimeoutError(BaseException):
+    """Thrown into a cell at its limit; not an ``Exception``, so that no method swallows it."""
+
+
+def run_cell(cell: Cell, commit: str = "unknown") -> dict:
+    """Make the problem, run the method, measure the answer.
+
+    Returns
+    -------
+    dict
+        Plain JSON values: ``status`` "ok", "timeout", "memory" or "error" (with ``traceback``), ``metrics`` as rows
+        (name, at, value), seconds, CPU seconds, peak memory in MB above the process's own, machine, versions, commit.
+    """
+    record: dict = {
+        **{name: cell.content[name] for name in ("generator", "problem", "seed", "method", "options", "code")},
+        "label": cell.label,
+        "commit": commit,
+        "machine": machine(),
+        "versions": versions(),
+        "status": "ok",
+        "metrics": [],
+    }
+    began = time.perf_counter()
+    try:
+        if cell.file is not None:
+            methods.load(cell.file)
+        method = methods.get(cell.method)
+        with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
+            warnings.simplefilter("always")
+            problem = _problem(cell.generator, _frozen(cell.problem), cell.seed)
+            _warm(method, cell.options)
+            before = _reset_peak()
+            began, cpu = time.perf_counter(), time.thread_time()
+            with _limited(cell.seconds, cell.memory):
+                answer = method.run(problem, np.random.default_rng([cell.seed, 1]), cell.options)
+            spent = (time.perf_counter() - began, time.thread_time() - cpu, _peak() - before)
+        rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
+        record["metrics"] = [(name, None, float(value)) for name, value in rows] + measure(problem, answer)
+        record["warnings"] = sorted({str(warning.message) for warning in caught})
+    except CellTimeoutError:
+        record |= {"status": "timeout", "traceback": f"more than {cell.seconds:g} s"}
+    except MemoryError:
+        record |= {"status": "memory", "traceback": f"more than {cell.memory:g} MB\n{traceback.format_exc()}"}
+    except Exception:
+        record |= {"status": "error", "traceback": traceback.format_exc()}
+    record["wall"] = time.perf_counter() - began
+    return record
+
+
+def measure(planted: Planted, answer: methods.Answer) -> list[tuple[str, float | None, float]]:
+    """All metrics that make sense for this problem and this answer, as rows (name, at, value).
+
+    ``at`` is the abscissa of metrics that are curves, None of the others.
+    """
+    edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
+    pairs = planted.pairs()
+    edges = edges if len(edges) <= len(pairs) else edges[metrics.thinned(len(edges), len(pairs))]
+    found: list[tuple[str, float | None, float]] = []
+    for name, which in (("edge", edges), ("pair", pairs)):
+        errors = metrics.frobenius_errors(answer.relative(which), planted.relative(which))
+        if np.isfinite(errors).all():
+            found += [(f"{name}_error", None, errors.mean()), (f"{name}_rms", None, metrics.root_mean_square(errors))]
+    cycles = cycle_error(planted.problem.n_nodes, edges, answer.relative(edges))
+    if len(cycles):
+        found.append(("cycle_error", None, cycles.mean()))
+    if answer.draws is not None:
+        found += _measure_draws(planted, answer.draws, edges)
+    if planted.bases and planted.distances:
+        found += _measure_points(planted, answer, pairs)
+    for step, relative in answer.path:
+        found.append(("error_at_step", step, metrics.frobenius_errors(relative(edges), planted.relative(edges)).mean()))
+    found += [(name, None, value) for name, value in {**answer.numbers, **planted.references}.items()]
+    return [(name, None if at is None else float(at), float(value)) for name, at, value in found]
+
+
+def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> Iterator:
+    chosen = draws[metrics.thinned(len(draws), _MOST_DRAWS)]
+    truth = planted.relative(edges)
+    relative = np.swapaxes(chosen[:, edges[:, 0]], -1, -2) @ chosen[:, edges[:, 1]]
+    yield "energy_score", None, metrics.energy_score(relative, truth)
+    coverage = metrics.covered(relative, truth).mean(axis=1)
+    for level, share in zip(metrics.LEVELS, coverage):
+        yield f"coverage_{round(100 * level)}", None, share
+    yield "calibration_error", None, metrics.calibration_error(coverage)
+    counts = np.unique(np.geomspace(1, len(chosen), 13).astype(int))
+    accuracy = oracle.oracle_accuracy(chosen, planted.truth, counts)
+    yield "oracle_accuracy", None, accuracy[-1]
+    for count, value in zip(counts, accuracy):
+        yield "accuracy_at_draws", count, value
+
+
+def _measure_points(planted: Planted, answer: methods.Answer, pairs: np.ndarray) -> Iterator:
+    errors = []
+    for (i, j), c in zip(pairs, answer.relative(pairs)):
+        sent = point_map(c, planted.bases[i], planted.bases[j])
+        errors.append(metrics.point_errors(sent, planted.distances[j]))
+    errors = np.concatenate(errors)
+    yield "point_error", None, errors.mean()
+    yield "point_area", None, metrics.area_under_curve(errors, _LARGEST_POINT_ERROR)
+    thresholds = np.linspace(0, _LARGEST_POINT_ERROR, 26)
+    for threshold, share in zip(thresholds, metrics.cumulative_curve(errors, thresholds)):
+        yield "point_curve", threshold, share
+
+
+@lru_cache(maxsize=2)
+def _problem(generator: str, problem: tuple, seed: int) -> Planted:
+    return generator_function(generator)(seed=seed, **dict(problem))
+
+
+def _frozen(problem) -> tuple:
+    return tuple(problem.items())
+
+
+_WARMED: set[str] = set()
+
+
+def _warm(method: methods.Method, options) -> None:
+    """Compile and import what the method needs on a toy, so that its first cell does not pay for it."""
+    name = f"{method.name} {options}"
+    if name in _WARMED:
+        return
+    _WARMED.add(name)
+    eye = np.broadcast_to(np.eye(4), (3, 4, 4))
+    toy = Planted(SyncProblem(3, [[0, 1], [1, 2], [0, 2]], eye), eye)
+    quick = {"n_draws": 20, "warmup": 10, "thin": 1} if method.kind == "sampler" else {}
+    with contextlib.suppress(Exception):  # what is wrong will show on the real problem
+        method.run(toy, np.random.default_rng(0), {**options, **quick})
+
+
+@contextlib.contextmanager
+def _limited(seconds: float, memory: float) -> Iterator[None]:
+    """Throw into this thread after some seconds; let no allocation take more than some MB."""
+    thread, finished, lock = threading.get_ident(), threading.Event(), threading.Lock()
+
+    def watch():
+        if finished.wait(seconds):
+            return
+        with lock:
+            if finished.is_set():
+                return
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(CellTimeoutError))
+        if not finished.wait(_GRACE) and multiprocessing.parent_process() is not None:
+            os._exit(1)  # a compiled call that never comes back: the runner notes a crash
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        with _address_space(memory):
+            yield
+    finally:
+        with lock:
+            finished.set()
+
+
+@contextlib.contextmanager
+def _address_space(megabytes: float) -> Iterator[None]:
+    """Let the process grow by this much and no more, where the system can say how large it is."""
+    size = _status("VmSize")
+    if size is None:
+        yield
+        return
+    wanted = int((size + megabytes) * 2**20)
+    soft = min((wanted, _SOFT, _HARD), key=lambda limit: np.inf if limit == resource.RLIM_INFINITY else limit)
+    resource.setrlimit(resource.RLIMIT_AS, (soft, _HARD))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (_SOFT, _HARD))
+
+
+def _status(name: str) -> float | None:
+    """A size of this process in MB, or None where the system does not tell."""
+    try:
+        match = re.search(rf"{name}:\s+(\d+) kB", _STATUS.read_text())
+    except OSError:
+        return None
+    return int(match[1]) / 1024 if match else None
+
+
+def _reset_peak() -> float:
+    """Forget the peak of this process so far, and give its present size in MB."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    return _peak()
+
+
+def _peak() -> float:
+    peak = _status("VmHWM")
+    if peak is not None:
+        return peak
+    unit = 2**20 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+@cache
+def machine() -> str:
+    """Processor, cores and system."""
+    names = re.findall(r"model name\s*:\s*(.+)", Path("/proc/cpuinfo").read_text()) if _STATUS.exists() else []
+    return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, {platform.system()}"
+
+
+@cache
+def versions() -> str:
+    """Python and the libraries that results depend on."""
+    found = [f"python {platform.python_version()}"]
+    for name in _VERSIONS:
+        with contextlib.suppress(PackageNotFoundError):
+            found.append(f"{name} {version(name)}")
+    return ", ".join(found)

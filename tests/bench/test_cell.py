@@ -1,0 +1,120 @@
+"""One cell: limits, honest status, and metrics that agree with their own functions."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmsync.bench import cell as cells
+from fmsync.bench import methods
+from fmsync.bench.metrics import frobenius_errors
+from fmsync.bench.planted import Planted
+from fmsync.bench.suites import Cell
+
+TRICKS = str(Path(__file__).with_name("tricks.py"))
+methods.load(TRICKS)
+SMALL = {"n_nodes": 5, "n": 4, "sigma2": 0.05}
+
+
+def cell(method, options=None, seed=0, problem=SMALL, **limits):
+    generator = "data_gen.bench_problems:rotations"
+    return Cell(generator, problem, seed, method, method, options or {}, file=TRICKS, **limits)
+
+
+def values(record):
+    return {name: value for name, at, value in record["metrics"] if at is None}
+
+
+def test_a_sound_cell():
+    record = cells.run_cell(cell("mle"), "abc")
+    assert record["status"] == "ok"
+    assert record["commit"] == "abc"
+    found = values(record)
+    assert 0 < found["edge_error"] <= found["edge_rms"]
+    assert found["edge_error"] == pytest.approx(found["pair_error"])  # complete graph
+    assert found["cycle_error"] < 1e-9
+    assert 0 < found["floor_rms"] < found["expected_rms"]
+    assert 0 < found["cpu_seconds"] < 10
+
+
+def test_the_same_cell_gives_the_same_numbers():
+    timing = {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
+    options = {"n_draws": 50, "warmup": 20, "n_chains": 2}
+    first, second = (values(cells.run_cell(cell("rlfm", options))) for _ in range(2))
+    assert {k: v for k, v in first.items() if k not in timing} == {k: v for k, v in second.items() if k not in timing}
+    assert {"energy_score", "coverage_90", "oracle_accuracy", "calibration_error", "ess_per_second"} <= set(first)
+
+
+def test_a_slow_method_is_stopped_and_said_to_be_slow():
+    began = time.perf_counter()
+    record = cells.run_cell(cell("trick-sleep", seconds=0.3))
+    assert record["status"] == "timeout"
+    assert "0.3 s" in record["traceback"]
+    assert time.perf_counter() - began < 10
+    assert cells.run_cell(cell("mle", seconds=30.0))["status"] == "ok"  # nothing is left behind
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the memory limit needs /proc")
+def test_a_greedy_method_is_stopped_and_said_to_be_greedy():
+    record = cells.run_cell(cell("trick-hog", memory=500.0))
+    assert record["status"] == "memory"
+    assert "500 MB" in record["traceback"]
+    assert cells.run_cell(cell("mle"))["status"] == "ok"
+
+
+def test_peak_memory_is_the_method_s_own():
+    @methods.method("trick-memory")
+    def take(problem, *, rng):
+        if problem.n_nodes > 3:
+            np.ones(2**23).sum()  # 64 MB
+        return methods.Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
+
+    try:
+        assert 60 < values(cells.run_cell(cell("trick-memory")))["peak_memory"] < 80
+    finally:
+        methods._REGISTRY.pop("trick-memory")
+
+
+def test_a_failure_keeps_its_traceback():
+    record = cells.run_cell(cell("trick-raise"))
+    assert record["status"] == "error"
+    assert "RuntimeError: the trick failed" in record["traceback"]
+    assert "in fail" in record["traceback"]
+    assert record["metrics"] == []
+
+
+def test_metrics_of_an_answer_worked_out_by_hand(planted):
+    problem = planted(n_nodes=4, n=4)
+    shifted = methods.Answer(lambda pairs: problem.relative(pairs) + np.eye(4) * 0.5)
+    found = {name: value for name, at, value in cells.measure(problem, shifted)}
+    assert found["edge_error"] == pytest.approx(1.0)  # ||I / 2||_F
+    assert found["pair_rms"] == pytest.approx(1.0)
+    assert found["cycle_error"] > 0.1
+
+
+def test_edges_alone_when_an_answer_knows_no_other_pair(planted):
+    full = planted(n_nodes=5, n=4)
+    keep = np.array([0, 1, 2, 3, 4, 5])
+    from fmsync.problem import SyncProblem
+
+    sparse = Planted(SyncProblem(5, full.problem.edges[keep], full.problem.maps[keep]), full.truth)
+    answer = methods.get("observed").run(sparse, np.random.default_rng(0), {})
+    found = {name: value for name, at, value in cells.measure(sparse, answer)}
+    assert "pair_error" not in found
+    expected = frobenius_errors(sparse.problem.maps, sparse.relative(sparse.problem.edges)).mean()
+    assert found["edge_error"] == pytest.approx(expected)
+
+
+def test_large_problems_show_a_fixed_sample_of_pairs():
+    truth = np.broadcast_to(np.eye(2), (200, 2, 2))
+    from fmsync.problem import SyncProblem
+
+    edges = np.array([(0, k) for k in range(1, 200)])
+    problem = Planted(SyncProblem(200, edges, np.broadcast_to(np.eye(2), (199, 2, 2))), truth)
+    pairs = problem.pairs()
+    assert len(pairs) == 2000
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert len(np.unique(pairs, axis=0)) == 2000
+    np.testing.assert_array_equal(pairs, problem.pairs())
+    assert pairs[:, 0].max() > 100

@@ -1,0 +1,96 @@
+"""Suite files: what is read, what is swept, and how mistakes are named."""
+
+import pytest
+
+from fmsync.bench.suites import SuiteError, load_suite, suite_names
+
+GOOD = """description = "a test"
+seeds = 2
+seconds = 5
+
+[method.quick]
+use = "rlfm"
+n_draws = 10
+
+[[grid]]
+generator = "data_gen.bench_problems:rotations"
+problem = { n_nodes = [4, 5], n = 3, sigma2 = [0.1, 0.2, 0.3] }
+methods = ["spectral", "quick"]
+"""
+
+
+@pytest.fixture
+def suite(tmp_path):
+    def write(text):
+        path = tmp_path / "test.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_lists_are_swept_and_seeds_are_paired(suite):
+    cells = load_suite(suite(GOOD)).cells
+    assert len(cells) == 2 * 3 * 2 * 2
+    assert len({cell.key for cell in cells}) == len(cells)
+    by_label = {
+        label: [(cell.problem, cell.seed) for cell in cells if cell.label == label] for label in ("spectral", "quick")
+    }
+    assert by_label["spectral"] == by_label["quick"]
+    assert cells[1].method == "rlfm"
+    assert cells[1].options == {"n_draws": 10}
+    assert cells[0].seconds == 5.0
+
+
+def test_seeds_and_only(suite):
+    path = suite(GOOD)
+    assert len(load_suite(path, seeds=1).cells) == 12
+    assert len(load_suite(path, only=r"^quick .*n_nodes=4").cells) == 6
+    with pytest.raises(SuiteError, match="no cell"):
+        load_suite(path, only="nothing")
+    with pytest.raises(SuiteError, match="regular expression"):
+        load_suite(path, only="(")
+    with pytest.raises(SuiteError, match="seeds"):
+        load_suite(path, seeds=0)
+
+
+def test_the_address_depends_on_what_runs_and_not_on_its_name_or_limits(suite):
+    cells = load_suite(suite(GOOD)).cells
+    renamed = load_suite(suite(GOOD.replace("quick", "fast").replace("seconds = 5", "seconds = 9"))).cells
+    assert [cell.key for cell in renamed] == [cell.key for cell in cells]
+    changed = load_suite(suite(GOOD.replace("n_draws = 10", "n_draws = 11"))).cells
+    same = [a.key == b.key for a, b in zip(cells, changed)]
+    assert same == [cell.label == "spectral" for cell in cells]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seconds = 5", "secnods = 5", "line 3: .*secnods.*seconds"),
+        ("generator =", "generater =", "line 10: .*generater.*generator"),
+        ("n_draws = 10", "n_drwas = 10", "line 7: .*n_drwas.*n_draws"),
+        ("sigma2", "sigma", "line 11: .*'sigma'.*sigma2"),
+        ('"spectral"', '"spectrall"', "line 12: .*spectrall.*spectral"),
+        ('use = "rlfm"', 'use = "rlmf"', "line 6: .*rlmf.*rlfm"),
+        (":rotations", ":rotation", "line 10: .*rotation"),
+        ("data_gen.bench_problems", "data_gen.nowhere", "line 10: .*nowhere"),
+        ("seeds = 2", 'seeds = "2"', "line 2: seeds"),
+        ("seeds = 2", "seeds = 0", "line 2: seeds must be > 0"),
+        ("seeds = 2", "", "seeds is missing"),
+        ('description = "a test"', "", "description is missing"),
+        ("problem = {", "problem = [", "line 11"),
+    ],
+)
+def test_mistakes_are_named_with_their_line(suite, old, new, message):
+    with pytest.raises(SuiteError, match=message):
+        load_suite(suite(GOOD.replace(old, new, 1)))
+
+
+def test_unknown_suite_offers_near_ones():
+    with pytest.raises(SuiteError, match="did you mean smoke"):
+        load_suite("smok")
+
+
+@pytest.mark.parametrize("name", suite_names())
+def test_suites_of_the_package_are_sound(name):
+    assert load_suite(name, seeds=1).cells
