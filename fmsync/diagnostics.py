@@ -1,5 +1,7 @@
 """Did the chains agree, and how many independent draws are there: R-hat and ESS of gauge-invariant scalars."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 from arviz_stats.base import array_stats
@@ -7,6 +9,11 @@ from arviz_stats.base import array_stats
 from fmsync.samplers import Posterior
 
 _MAX_PAIRS = 10
+_LARGEST_RHAT, _LEAST_ESS = 1.01, 400
+
+
+class ConvergenceWarning(UserWarning):
+    """The chains disagree, or hold too few independent draws; the message says what to do."""
 
 
 def rhat(values: np.ndarray) -> float:
@@ -54,7 +61,7 @@ def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.nd
     if edges is None:
         distinct = np.unique(post.problem.edges, axis=0)
         edges = distinct[np.linspace(0, len(distinct) - 1, min(_MAX_PAIRS, len(distinct))).astype(int)]
-    values = {"energy": post.energy}
+    values = _levels(post)
     for i, j in np.asarray(edges).tolist():
         first, second = post.absolute[:, :, i], post.absolute[:, :, j]
         values[f"tr C[{i},{j}]"] = np.einsum("ktab,ktab->kt", first, second)
@@ -75,7 +82,42 @@ def summary(post: Posterior, edges: np.ndarray | None = None) -> pd.DataFrame:
     rows = {
         name: (x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for name, x in scalars(post, edges).items()
     }
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["mean", "sd", "r_hat", "ess_bulk", "ess_tail"])
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=["mean", "sd", "r_hat", "ess_bulk", "ess_tail"])
+    _warn(table.r_hat, table[["ess_bulk", "ess_tail"]].min(axis=1))
+    return table
+
+
+def warn_unless_converged(post: Posterior) -> None:
+    """Warn when the energy or an inferred noise level has R-hat above 1.01 or fewer than 400 effective draws.
+
+    :func:`summary` warns of its other scalars as well.
+    """
+    values = pd.Series(_levels(post))
+    _warn(values.map(rhat), values.map(ess))
+
+
+def _levels(post: Posterior) -> dict[str, np.ndarray]:
+    """The energy, and the logarithm of the concentration where it was inferred."""
+    values = {"energy": post.energy}
+    if post.settings.get("level_inferred"):
+        values["log kappa"] = np.log(post.kappa)
+    return values
+
+
+def _warn(r_hat: pd.Series, effective: pd.Series) -> None:
+    complaints = []
+    if (r_hat > _LARGEST_RHAT).any():
+        complaints.append(
+            f"R-hat of {r_hat.idxmax()} is {r_hat.max():.3f} > {_LARGEST_RHAT}: the chains tell different stories; "
+            "lengthen warmup, or try method='tempered' if it stays"
+        )
+    if (effective < _LEAST_ESS).any():
+        complaints.append(
+            f"only {effective.min():.0f} effective draws of {effective.idxmin()} (want {_LEAST_ESS}): raise n_draws or "
+            "thin, or use 'heat-bath' where the energy is Euclidean"
+        )
+    if complaints:
+        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=4)
 
 
 def _checked(values: np.ndarray) -> np.ndarray:

@@ -16,97 +16,24 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
 from fmsync import so
 from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate, solve, starting_point
-from fmsync.problem import LangevinPrior, SyncProblem, anchored, relative_maps
+from fmsync.problem import LangevinPrior, SyncProblem, anchored
+from fmsync.samplers._posterior import Posterior
+from fmsync.samplers._store import DrawStore
+
+__all__ = ["Posterior", "concentration", "methods", "sample", "sampler", "with_anchor"]
 
 Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains, N, n, n), energy (chains,))
 
 _REGISTRY: dict[str, type] = {}
 _CHECK_EVERY = 50  # warm-up steps between two looks at the energy
-
-
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    r"""Draws of the absolute maps; only what does not change under :math:`C_i \to Q C_i` means anything.
-
-    Attributes
-    ----------
-    method
-        Registered name of the sampler.
-    absolute
-        (chains, draws, N, n, n) rotations in whatever gauge the chains were.
-    energy
-        (chains, draws) potential U of every draw, without the temperature.
-    kappa
-        (chains, draws) concentration of the observations.
-    interrupted
-        Whether Ctrl-C ended the run early; the draws before it are kept.
-    settings
-        Plain values the sampler ran with: step, warm-up, thinning, ...
-    """
-
-    problem: SyncProblem
-    method: str
-    absolute: np.ndarray
-    energy: np.ndarray
-    kappa: np.ndarray
-    interrupted: bool
-    settings: Mapping[str, object]
-
-    @property
-    def n_chains(self) -> int:
-        """Number of chains."""
-        return self.absolute.shape[0]
-
-    @property
-    def n_draws(self) -> int:
-        """Draws kept of each chain."""
-        return self.absolute.shape[1]
-
-    def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
-        r"""Relative maps :math:`C_i^\top C_j` of every draw, (chains, draws, E, n, n).
-
-        ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
-        """
-        return relative_maps(self.absolute, self._edges(edges))
-
-    def relative_mean(self, edges: np.ndarray | None = None, *, distance: str = "chordal") -> np.ndarray:
-        """Fréchet mean over all draws of the relative maps, (E, n, n): independent of every gauge.
-
-        Parameters
-        ----------
-        edges
-            (E, 2) pairs, by default the problem's own.
-        distance
-            ``"chordal"``: nearest rotation to the arithmetic mean. ``"geodesic"``: see :func:`fmsync.so.frechet_mean`.
-        """
-        edges = self._edges(edges)
-        n = self.problem.n
-        if distance == "geodesic":
-            means = [so.frechet_mean(self.relative(edge[None]).reshape(-1, n, n)) for edge in edges]
-            return np.stack(means)
-        if distance != "chordal":
-            raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
-        # one product per pair over all draws at once, and no (draws, E, n, n) array
-        stacked = {k: self.absolute[:, :, k].reshape(-1, n) for k in np.unique(edges)}  # (draws n, n)
-        return so.project(np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws))
-
-    def summary(self) -> pd.DataFrame:
-        """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
-        from fmsync.diagnostics import summary
-
-        return summary(self)
-
-    def _edges(self, edges: np.ndarray | None) -> np.ndarray:
-        return self.problem.edges if edges is None else np.asarray(edges)
 
 
 def sampler(name: str) -> Callable[[type], type]:
@@ -146,6 +73,7 @@ def sample(
     init: str | np.ndarray | Estimate = "spectral",
     prior: LangevinPrior | None = None,
     callback: Callback | None = None,
+    store: str | Path | None = "memory",
     **options,
 ) -> Posterior:
     r"""Draw the absolute maps from their posterior :math:`\propto\exp(-\beta U(C))`, all chains as one batch.
@@ -170,7 +98,11 @@ def sample(
         Langevin prior on the absolute maps; it fixes the gauge.
     callback
         Called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where the chains
-        are: not rotations in an unconstrained chain. Do not change it.
+        are: not rotations in an unconstrained chain. Do not change it. :mod:`fmsync.samplers.running` has summaries to
+        be used here.
+    store
+        Where draws go: ``"memory"``; a path ending in ``.npy``, written as they come and put in place when complete;
+        None, nowhere (energies and concentrations are kept), for runs of any length with a running summary.
     options
         Passed to the sampler; an unknown option is refused with the list of known ones.
 
@@ -178,6 +110,11 @@ def sample(
     -------
     Posterior
         With fewer draws and ``interrupted`` set after Ctrl-C (which goes through if there is no draw yet).
+
+    Warns
+    -----
+    fmsync.diagnostics.ConvergenceWarning
+        R-hat of the energy or of an inferred noise level above 1.01, or fewer than 400 effective draws of them.
 
     Raises
     ------
@@ -207,17 +144,21 @@ def sample(
     with single_threaded_blas():
         start = _starts(problem, init, n_chains, rng)
         engine = kind(problem, start, rng, prior, **options)
-        absolute, energies, kappas = _run(engine, n_draws, warmup, thin, callback or _nothing)
+        draws = DrawStore(store, n_draws, engine.state.shape)
+        with draws:
+            energies, kappas = _run(engine, n_draws, warmup, thin, callback or _nothing, draws)
     settings = {"warmup": int(warmup), "thin": int(thin), **engine.settings}
-    interrupted = absolute.shape[1] < n_draws
-    return Posterior(problem, method, absolute, energies, kappas, interrupted, settings)
+    interrupted = energies.shape[1] < n_draws
+    post = Posterior(problem, method, draws.result, energies, kappas, interrupted, settings)
+    from fmsync.diagnostics import warn_unless_converged
+
+    warn_unless_converged(post)
+    return post
 
 
-def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback) -> tuple[np.ndarray, ...]:
-    """Draws (K, T, N, n, n), energies (K, T) and concentrations (K, T); T < n_draws after Ctrl-C."""
-    state = engine.state
-    absolute = np.empty((len(state), n_draws, *state.shape[1:]))
-    energies, kappas = np.empty(absolute.shape[:2]), np.empty(absolute.shape[:2])
+def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback, draws: DrawStore) -> tuple[np.ndarray, ...]:
+    """Energies and concentrations, each (K, T); the rotations go to ``draws``. T < n_draws after Ctrl-C."""
+    energies, kappas = np.empty((len(engine.state), n_draws)), np.empty((len(engine.state), n_draws))
     done = 0
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
@@ -231,13 +172,15 @@ def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback) -> tu
                     engine.step(warming=False)
                     bar.update()
                 energies[:, done] = _check(engine)
-                absolute[:, done], kappas[:, done] = engine.draw(), engine.kappa
+                kappas[:, done] = engine.kappa
+                draws.put(done, engine.draw())
                 callback(done, engine.state, energies[:, done])
                 done += 1
+                draws.done = done
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    return absolute[:, :done], energies[:, :done], kappas[:, :done]
+    return energies[:, :done], kappas[:, :done]
 
 
 def _check(engine) -> np.ndarray:
@@ -255,6 +198,8 @@ def concentration(kappa: float | None, beta: float | None) -> float:
     if kappa is not None and beta is not None:
         raise ValueError("kappa, beta: give one of them, they are the same temperature (kappa = 2 beta)")
     name, value = ("kappa", kappa) if kappa is not None else ("beta", 1.0 if beta is None else beta)
+    if isinstance(value, str):
+        raise ValueError(f"{name}: this sampler does not infer it; give a number > 0, or use 'heat-bath'")
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name}: must be finite and > 0, got {value}")
     return float(value) if name == "kappa" else 2.0 * float(value)

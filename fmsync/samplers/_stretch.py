@@ -1,0 +1,205 @@
+r"""The paper's noise, exactly: the stretch that projection threw away is put back as an unknown.
+
+:math:`C_{ij}P_{ij} = C_i^\top C_j + \sigma G` with P symmetric and :math:`\lambda_a+\lambda_b>0` for all pairs of its
+eigenvalues: that is the region which projection to SO(n) maps to C_ij, and the Jacobian is
+:math:`\prod_{a<b}(\lambda_a+\lambda_b)`. Given P and σ the maps see plain Gaussian observations M = C P, whose exponent
+is linear in each map: the heat bath applies. Given the maps, with A the symmetric part of
+:math:`C_{ij}^\top C_i^\top C_j`,
+
+.. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
+
+drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws,
+eigenvalues by slices.
+"""
+
+import numba
+import numpy as np
+
+from fmsync.problem import SyncProblem
+from fmsync.samplers._heat import node_blocks
+from fmsync.samplers._levels import matched_to_spectral
+from fmsync.samplers._random import uniform, von_mises_half
+
+LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
+_LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
+
+
+class Stretches:
+    """Stretches and noise level of every chain, beside the blocks of observations that the map sweep reads.
+
+    ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
+    """
+
+    def __init__(self, problem: SyncProblem, n_chains: int, rng: np.random.Generator):
+        n, n_edges = problem.n, problem.n_edges
+        self._problem = problem
+        sigma2 = np.clip(1 / matched_to_spectral(problem, rng), LEAST_SIGMA2, 1.0)
+        self.sigma2 = np.full(n_chains, sigma2)
+        noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
+        _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
+        self._values[..., -1] *= np.sign(np.linalg.det(noise))
+        self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
+        self._maps = np.empty((n_edges, n, n))
+        self._ones = np.ones(n_edges)
+
+    def step(self, x: np.ndarray, states: np.ndarray, levels: bool) -> None:
+        """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
+        p = self._problem
+        start, edge, _, forward = p.incidence
+        for k in range(len(x)):
+            self.sigma2[k] = stretch_step(
+                x[k], p.edges, p.maps, self._vectors[k], self._values[k], self.sigma2[k], levels, self._maps, states[k]
+            )
+            node_blocks(self._maps, self._ones, start, edge, forward, self.blocks[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, state):
+    """All edges of one chain in place; the observations C P go to ``stretched`` (E, n, n). Returns σ²."""
+    n_edges, n = maps.shape[0], maps.shape[1]
+    relative, centre = np.empty((n, n)), np.empty((n, n))
+    product, scaled = np.empty((n, n)), np.empty((n, n))
+    quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
+    for e in range(n_edges):
+        np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
+        np.dot(maps[e].T, relative, product)
+        for a in range(n):
+            for b in range(n):
+                centre[a, b] = (product[a, b] + product[b, a]) / 2
+        np.dot(vectors[e], centre, product)
+        np.dot(product, vectors[e].T, centre)  # in eigen-coordinates
+        rotate_eigenvectors(vectors[e], values[e], centre, sigma2, state)
+        draw_eigenvalues(values[e], centre, sigma2, state)
+        for a in range(n):
+            quadratic += values[e, a] * values[e, a]
+            linear += values[e, a] * centre[a, a]
+    scale = 1.0
+    if levels:
+        sigma2, scale = draw_level(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
+        values *= scale
+    for e in range(n_edges):
+        for a in range(n):
+            for b in range(n):
+                scaled[a, b] = values[e, a] * vectors[e, a, b]
+        np.dot(vectors[e].T, scaled, product)
+        np.dot(maps[e], product, stretched[e])
+    return sigma2
+
+
+@numba.njit(cache=True, nogil=True)
+def rotate_eigenvectors(vectors, values, centre, sigma2, state):
+    r"""Gibbs draws of all planes of eigenvectors (rows), the centre B = V A Vᵀ following.
+
+    Twice the angle is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`.
+    """
+    n = len(values)
+    for a in range(n - 1):
+        for b in range(a + 1, n):
+            gap = (values[a] - values[b]) / sigma2
+            along, across = gap * (centre[a, a] - centre[b, b]) / 2, gap * centre[a, b]
+            size = np.sqrt(along * along + across * across)
+            c, s = von_mises_half(size, state)
+            if size > 0.0:  # half the angle of the mode comes on top
+                if along >= 0:
+                    mode_c = np.sqrt((1 + along / size) / 2)
+                    mode_s = across / (2 * size * mode_c)
+                else:
+                    mode_s = np.sqrt((1 - along / size) / 2)
+                    mode_c = across / (2 * size * mode_s)
+                c, s = c * mode_c - s * mode_s, s * mode_c + c * mode_s
+            p, q = vectors[a], vectors[b]
+            u, v = centre[a], centre[b]
+            for r in range(n):
+                first, second = p[r], q[r]
+                p[r] = c * first + s * second
+                q[r] = c * second - s * first
+                first, second = u[r], v[r]
+                u[r] = c * first + s * second
+                v[r] = c * second - s * first
+            aa, ab = c * u[a] + s * u[b], c * u[b] - s * u[a]
+            ba, bb = c * v[a] + s * v[b], c * v[b] - s * v[a]
+            for r in range(n):  # symmetric: columns are the rows
+                centre[r, a], centre[r, b] = u[r], v[r]
+            u[a], u[b], v[a], v[b] = aa, (ab + ba) / 2, (ab + ba) / 2, bb
+
+
+@numba.njit(cache=True, nogil=True)
+def _log_density(values, k, x, mean, sigma2):
+    """Logarithm of the density of eigenvalue k at x, -inf outside the region."""
+    logarithm, product = -((x - mean) ** 2) / (2 * sigma2), 1.0
+    for c in range(len(values)):
+        if c != k:
+            if x + values[c] <= 0:
+                return -np.inf
+            product *= abs(x * x - values[c] * values[c])
+            if not 1e-250 < product < 1e250:  # one logarithm for all factors, unless they are many
+                if product == 0.0:
+                    return -np.inf
+                logarithm += np.log(product)
+                product = 1.0
+    return logarithm + np.log(product)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_eigenvalues(values, centre, sigma2, state):
+    r"""One slice an eigenvalue, by the density
+
+    :math:`\prod_{c\ne k}(\lambda+\lambda_c)|\lambda-\lambda_c|\;e^{-(\lambda-B_{kk})^2/2\sigma^2}`.
+    """
+    width = 2 * np.sqrt(sigma2)
+    for k in range(len(values)):
+        mean, here = centre[k, k], values[k]
+        level = _log_density(values, k, here, mean, sigma2) + np.log(1 - uniform(state))
+        low = here - width * uniform(state)
+        high = low + width
+        while _log_density(values, k, low, mean, sigma2) > level:
+            low -= width
+        while _log_density(values, k, high, mean, sigma2) > level:
+            high += width
+        while True:
+            new = low + (high - low) * uniform(state)
+            if _log_density(values, k, new, mean, sigma2) >= level:
+                break
+            if new < here:
+                low = new
+            else:
+                high = new
+        values[k] = new
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_level(quadratic, linear, constant, dimension, sigma2, state):
+    r"""σ² and a factor s for all stretches, given their shapes: (σ², s).
+
+    Two exact steps in turn, with Q = Σ‖P‖², L = Σ tr(P A), c the constant and :math:`\sum\lVert M-R\rVert^2 = Q-2L+c`.
+    σ² alone is inverse gamma. Along the joint scaling :math:`(P, \sigma)\to(sP, s\sigma)` all powers of s cancel but
+    one: with v = 1/s the density is :math:`v^{-1}\exp(-c\,(v-L/c)^2/2\sigma^2)`.
+    """
+    scale = 1.0
+    for _ in range(_LEVEL_ROUNDS):
+        v = linear / constant + np.sqrt(sigma2 / constant) * _normal(state)
+        if v > 0 and uniform(state) * v < 1 and LEAST_SIGMA2 <= sigma2 / (v * v) <= LARGEST_SIGMA2:
+            scale /= v
+            quadratic, linear, sigma2 = quadratic / (v * v), linear / v, sigma2 / (v * v)
+        rest = quadratic - 2 * linear + constant
+        new = rest / 2 / _gamma(dimension / 2, state)
+        if LEAST_SIGMA2 <= new <= LARGEST_SIGMA2:
+            sigma2 = new
+    return sigma2, scale
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal(state):
+    return np.sqrt(-2 * np.log(1 - uniform(state))) * np.cos(2 * np.pi * uniform(state))
+
+
+@numba.njit(cache=True, nogil=True)
+def _gamma(shape, state):
+    """Marsaglia & Tsang (2000), shape >= 1."""
+    d = shape - 1 / 3
+    c = 1 / np.sqrt(9 * d)
+    while True:
+        z = _normal(state)
+        v = (1 + c * z) ** 3
+        if v > 0 and np.log(1 - uniform(state)) < z * z / 2 + d * (1 - v + np.log(v)):
+            return d * v

@@ -1,0 +1,144 @@
+"""The heat bath: exact Gibbs sweeps over planes of every map, without a step size, without rejections."""
+
+import numpy as np
+
+from fmsync import problem as energies
+from fmsync import so
+from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
+from fmsync.samplers import _heat, _kernels, sampler
+from fmsync.samplers._levels import Concentration, check_identified
+from fmsync.samplers._random import generators
+from fmsync.samplers._stretch import Stretches
+
+_POLISH_EVERY = 200  # sweeps between two repairs of orthogonality and of the running energy
+_SETTLE = 100  # sweeps of the warm-up before an unknown noise level moves: chains from random maps must order first
+
+
+@sampler("heat-bath")
+class HeatBath:
+    r"""Givens–von Mises heat bath with over-relaxation for the Euclidean energy: exact and without tuning.
+
+    Given the rest, map i has density :math:`\propto\exp(\kappa\operatorname{tr}(S_i^\top C_i))`, and the angle by which
+    two of its columns are rotated is von Mises. A sweep visits every pair of columns of every map: once to reflect the
+    angle about the mode (over-relaxation, which moves far at the same density) and once to draw it.
+
+    Parameters
+    ----------
+    problem, start, rng, prior
+        As :func:`fmsync.sample` passes them; ``start`` (K, N, n, n).
+    likelihood
+        ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`; weights are
+        multiplicities. ``"projected-gaussian"``: :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the
+        paper's noise, exact by putting back the stretches that the projection took away; σ² is inferred with
+        :math:`\log\sigma^2` uniform on [log 1e-5, log 10].
+    kappa, beta
+        Concentration of the Langevin likelihood, κ = 2β; ``kappa="auto"``, the default, infers it under a uniform prior
+        on [0, 1e5].
+    over_relaxations
+        Reflections before each draw, >= 0.
+    energy
+        ``"euclidean"`` is the only one; any other raises a ValueError that says which samplers can.
+
+    Raises
+    ------
+    ValueError
+        A level that is not positive, both given, one given to the projected Gaussian likelihood, or one to be inferred
+        from a forest without repeated edges; unknown choices.
+    """
+
+    def __init__(
+        self,
+        problem: SyncProblem,
+        start: np.ndarray,
+        rng: np.random.Generator,
+        prior: LangevinPrior | None = None,
+        *,
+        likelihood: str = "langevin",
+        kappa: float | str | None = None,
+        beta: float | None = None,
+        over_relaxations: int = 1,
+        energy: str = "euclidean",
+    ):
+        if energy != "euclidean":
+            raise ValueError("energy: 'heat-bath' needs the Euclidean energy; 'hmc', 'mala' and 'rlfm' take either")
+        if likelihood not in ("langevin", "projected-gaussian"):
+            raise ValueError(f"likelihood: 'langevin' or 'projected-gaussian', not {likelihood!r}")
+        if isinstance(over_relaxations, bool) or int(over_relaxations) != over_relaxations or over_relaxations < 0:
+            raise ValueError(f"over_relaxations: an integer >= 0, got {over_relaxations}")
+        self._problem, self._over, self._age = problem, int(over_relaxations), 0
+        self._states = generators(rng, len(start))
+        self._x = np.ascontiguousarray(so.transpose(start))  # (K, N, n, n), transposed maps
+        self._field = prior_field(problem, prior)
+        self._stretches = None
+        start_of, edge, self._other, forward = problem.incidence
+        self._start_of = start_of
+        if likelihood == "langevin":
+            self._level = Concentration(problem, prior, kappa, beta, len(start), rng)
+            self.kappa = self._level.value
+            blocks = np.empty(2 * problem.n_edges * problem.n**2)
+            _heat.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
+            self._blocks = np.broadcast_to(blocks, (len(start), blocks.size))  # every chain reads the same
+        else:
+            if kappa is not None or beta is not None:
+                raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
+            if (problem.weights != 1).any():
+                raise ValueError("weights: likelihood='projected-gaussian' needs weights 1; repeat an edge instead")
+            check_identified(problem, prior, "sigma2")
+            check_rotations(problem.maps, "maps (node = edge)")
+            self._stretches = Stretches(problem, len(start), rng)
+            self.kappa = 1 / self._stretches.sigma2
+            self._blocks = self._stretches.blocks
+        self._refresh()
+        self.ceiling = np.full(len(start), np.inf)
+        self.advice = "the state is not finite"
+        self.settings = {"likelihood": likelihood, "over_relaxations": self._over, "level_inferred": self._inferred}
+
+    @property
+    def _inferred(self) -> bool:
+        return self._stretches is not None or self._level.inferred
+
+    @property
+    def state(self) -> np.ndarray:
+        """(K, N, n, n) rotations."""
+        return so.transpose(self._x)
+
+    def draw(self) -> np.ndarray:
+        """(K, N, n, n) rotations."""
+        return self.state
+
+    def energy(self) -> np.ndarray:
+        """(K,) Euclidean energy of the observations, without the prior."""
+        if self._stretches is not None:
+            return energies.energy(self._problem, self.state)
+        return self._problem.constant - 2 * self._traces
+
+    def step(self, warming: bool) -> None:
+        """One sweep of every chain, after a draw of what is unknown beside the maps."""
+        moving = not (warming and self._age < _SETTLE)
+        if self._stretches is not None:
+            self._stretches.step(self._x, self._states, moving)
+            self.kappa = 1 / self._stretches.sigma2
+        elif self._level.inferred and moving:
+            self._level.update(self._traces, self._states)
+        for k, x in enumerate(self._x):
+            self._traces[k] += _heat.sweep(
+                x, self._blocks[k], self._start_of, self._other, self._field, self.kappa[k], self._over, self._states[k]
+            )
+        self._age += 1
+        if self._age % _POLISH_EVERY == 0:
+            self._refresh()
+
+    def _refresh(self) -> None:
+        """Take off the rounding that maps and running energies gathered."""
+        self._x = _kernels.polish(self._x)
+        self._traces = (self._problem.constant - energies.energy(self._problem, self.state)) / 2  # (K,)
+
+
+def prior_field(problem: SyncProblem, prior: LangevinPrior | None) -> np.ndarray:
+    r"""(N, n, n) transposed linear terms :math:`\kappa_i M_i^\top` of the prior; (0, n, n) without one."""
+    if prior is None:
+        return np.empty((0, problem.n, problem.n))
+    expected = (problem.n_nodes, problem.n, problem.n)
+    if prior.mean.shape != expected:
+        raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
+    return np.ascontiguousarray(prior.kappa[:, None, None] * so.transpose(prior.mean))

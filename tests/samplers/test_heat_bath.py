@@ -1,0 +1,222 @@
+"""The heat bath against exact laws and slow twins; thresholds are numbers of standard errors."""
+
+import networkx as nx
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import ive
+
+import data_gen
+import fmsync
+from fmsync import langevin, so
+from fmsync.problem import neighbour_sums
+from fmsync.samplers import _heat, _levels, _random
+from tests.samplers.laws import mean_and_error, noisy, one_edge
+
+
+def test_generator_against_the_definition():
+    """Python's whole numbers in place of 64-bit registers."""
+    states = _random.generators(np.random.default_rng(0), 2)
+    s, mask = [int(v) for v in states[0]], 2**64 - 1
+    assert not np.array_equal(states[0], states[1])
+    for _ in range(100):
+        total = (s[0] + s[3]) & mask
+        expected = (((total << 23) | (total >> 41)) + s[0]) & mask
+        t = (s[1] << 17) & mask
+        s[2] ^= s[0]
+        s[3] ^= s[1]
+        s[1] ^= s[2]
+        s[0] ^= s[3]
+        s[2] ^= t
+        s[3] = ((s[3] << 45) | (s[3] >> 19)) & mask
+        assert _random.uniform(states[0]) == (expected >> 11) / 2**53
+
+
+@pytest.mark.parametrize("k", [0.0, 1e-13, 0.3, 5.0, 200.0, 1e7])
+def test_von_mises_draws(k):
+    state = _random.generators(np.random.default_rng(1), 1)[0]
+    half = np.array([_random.von_mises_half(k, state) for _ in range(20_000)])
+    np.testing.assert_allclose((half**2).sum(1), 1, atol=1e-12)
+    angle = 2 * np.arctan2(half[:, 1], half[:, 0])
+    angle = np.angle(np.exp(1j * angle))
+    law = stats.uniform(-np.pi, 2 * np.pi) if k < 1e-6 else stats.vonmises(k)
+    if k > 1e5:
+        law = stats.norm(0, 1 / np.sqrt(k))
+    assert stats.kstest(angle, law.cdf).pvalue > 1e-4
+    if 0.1 < k < 1e3:
+        cosine = np.cos(angle)
+        assert abs(cosine.mean() - ive(1, k) / ive(0, k)) < 4 * cosine.std() / np.sqrt(len(cosine))
+
+
+def slow_sweep(c, problem, kappa, field, over_relaxations, state):
+    """The same pass on whole matrices, with a fresh W = Fᵀ C before every rotation."""
+    for i in range(problem.n_nodes):
+        force = kappa * neighbour_sums(problem, c)[i] + field[i]
+        for over_relax in [True] * over_relaxations + [False]:
+            for a in range(problem.n):
+                for b in range(a + 1, problem.n):
+                    w = force.T @ c[i]
+                    along, across = w[a, a] + w[b, b], w[a, b] - w[b, a]
+                    mode = np.arctan2(across, along)
+                    if over_relax:
+                        angle = 2 * mode
+                    else:
+                        cosine, sine = _random.von_mises_half(np.hypot(along, across), state)
+                        angle = mode + 2 * np.arctan2(sine, cosine)
+                    turn = np.eye(problem.n)
+                    turn[[a, b], [a, b]] = np.cos(angle)
+                    turn[b, a], turn[a, b] = np.sin(angle), -np.sin(angle)
+                    c[i] = c[i] @ turn
+
+
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_sweep_against_its_slow_twin(with_prior):
+    truth = data_gen.planted(6, 4, data_gen.random_graph(6, 0.5, rng=0), rng=0)
+    p = data_gen.perturb(truth, 0.1, 1, repeats=2)
+    p = fmsync.SyncProblem(6, p.edges, p.maps, weights=np.random.default_rng(2).uniform(0.5, 2, p.n_edges))
+    start, edge, other, forward = p.incidence
+    blocks = np.empty(2 * p.n_edges * 16)
+    _heat.node_blocks(p.maps, p.weights, start, edge, forward, blocks)
+    c = so.random_uniform(4, 6, rng=3)
+    field = so.random_uniform(4, 6, rng=4) * 3 if with_prior else np.zeros((6, 4, 4))
+    given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, 4, 4))
+    state = _random.generators(np.random.default_rng(5), 1)[0]
+    twin, x, twin_state = c.copy(), np.ascontiguousarray(so.transpose(c)), state.copy()
+    gained = _heat.sweep(x, blocks, start, other, given, 5.0, 2, state)
+    slow_sweep(twin, p, 5.0, field, 2, twin_state)
+    np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
+    change = (fmsync.problem.energy(p, c) - fmsync.problem.energy(p, twin)) / 2
+    assert gained == pytest.approx(change, abs=1e-9)
+
+
+@pytest.mark.parametrize(("kappa", "exact"), [(3, 3.0000), (10, 10.1674), (30, 16.8173)])
+def test_one_edge_of_so20(kappa, exact):
+    p = one_edge(20)
+    post = fmsync.sample(p, "heat-bath", kappa=kappa, n_chains=32, n_draws=300, warmup=30, init="dispersed", rng=kappa)
+    mean, error = mean_and_error((p.constant - post.energy) / 2)
+    assert abs(mean - exact) < 4 * error
+    assert error < 0.02
+
+
+def test_without_data_draws_are_haar():
+    p = one_edge(4)
+    post = fmsync.sample(p, "heat-bath", kappa=1e-9, n_chains=20, n_draws=1000, warmup=10, rng=0)
+    trace = np.einsum("ktaa->kt", post.relative()[:, :, 0])
+    for values, exact in ((trace, 0), (trace**2, 1)):
+        mean, error = mean_and_error(values)
+        assert abs(mean - exact) < 4 * error
+        assert error < 0.03
+
+
+def test_energy_is_that_of_the_draws_and_the_group_is_not_left():
+    p = noisy(3, 3)
+    post = fmsync.sample(p, "heat-bath", kappa=8.0, n_chains=1, n_draws=3, thin=40_000, warmup=0, rng=0)
+    last = post.absolute[0, -1]
+    assert np.abs(so.transpose(last) @ last - np.eye(3)).max() < 1e-10
+    np.testing.assert_allclose(post.energy, fmsync.problem.energy(p, post.absolute), atol=1e-9)
+
+
+def test_prior_is_sampled_with_its_own_concentration():
+    """On a tree the prior on one node and the edge are independent Langevin laws."""
+    mean = so.random_uniform(3, 2, rng=1)
+    prior = fmsync.LangevinPrior(mean, [4.0, 0.0])
+    post = fmsync.sample(
+        one_edge(3), "heat-bath", kappa=2.0, n_chains=20, n_draws=600, warmup=30, init="random", prior=prior, rng=9
+    )
+    traces = np.einsum("ktab,ab->kt", post.absolute[:, :, 0], mean[0])
+    relative = np.einsum("ktaa->kt", post.relative()[:, :, 0])
+    for values, kappa in ((traces, 4.0), (relative, 2.0)):
+        average, error = mean_and_error(values)
+        assert abs(average - 3 * langevin.mean_cosine(3, kappa)) < 4 * error
+        assert error < 0.03
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 9, 20])
+def test_table_of_the_normaliser(n):
+    kappa = np.exp(np.random.default_rng(n).uniform(np.log(1e-4), np.log(1e5), 200))
+    exact = np.concatenate([np.atleast_1d(langevin.log_normaliser(n, k)) for k in kappa])
+    table = _levels.normaliser_table(n)
+    ours = np.array([_levels.interpolated_log_normaliser(k, table) for k in kappa])
+    np.testing.assert_allclose(ours, exact, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("trace", "count"), [(1.0, 3.0), (40.0, 15.0), (44.9999, 15.0)])
+def test_concentration_step_against_quadrature(trace, count):
+    table, state = _levels.normaliser_table(3), _random.generators(np.random.default_rng(0), 1)[0]
+    draws, kappa = np.empty(20_000), 1.0
+    for t in range(len(draws)):
+        draws[t] = kappa = _levels.draw_kappa(kappa, trace, count, 3, table, state)
+    grid = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 1500))  # equal steps in log κ: the density gains a factor κ
+    normaliser = np.array([float(langevin.log_normaliser(3, k)) for k in grid])
+    density = grid * trace - count * normaliser + np.log(grid)
+    weight = np.exp(density - density.max())
+    weight[[0, -1]] /= 2
+    mean = (weight @ grid) / weight.sum()
+    spread = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())
+    assert abs(draws.mean() - mean) < 5 * spread / np.sqrt(len(draws) / 2)
+    assert draws.std() == pytest.approx(spread, rel=0.03)
+
+
+def test_unknown_concentration_of_langevin_noise():
+    truth = data_gen.planted(8, 6, rng=0)
+    p = data_gen.perturb(truth, noise="langevin", kappa=12.0, rng=1)
+    post = fmsync.sample(p, "heat-bath", n_draws=400, warmup=200, init="dispersed", rng=0)
+    assert post.settings["level_inferred"]
+    assert abs(post.kappa.mean() - 12) < 4 * post.kappa.std()
+    assert post.kappa.std() < 1.5
+    assert fmsync.diagnostics.rhat(post.kappa) < 1.02
+    with pytest.raises(ValueError, match="sigma2"):
+        post.sigma2  # noqa: B018
+
+
+def test_a_tree_does_not_tell_its_noise():
+    truth = data_gen.planted(4, 3, nx.path_graph(4), rng=0)
+    tree = data_gen.perturb(truth, 0.1, 1)
+    for options in ({}, {"kappa": "auto"}, {"likelihood": "projected-gaussian"}):
+        with pytest.raises(ValueError, match="tree without repeated edges"):
+            fmsync.sample(tree, "heat-bath", **options)
+    prior = fmsync.LangevinPrior(truth.absolute, [5.0, 0, 0, 5.0])
+    for p, options in ((data_gen.perturb(truth, 0.1, 1, repeats=2), {}), (tree, {"prior": prior})):
+        assert fmsync.sample(p, "heat-bath", n_draws=2, warmup=5, **options).settings["level_inferred"]
+
+
+def test_chains_do_not_depend_on_their_number():
+    p, start = noisy(), so.random_uniform(4, 5, rng=0)
+    a, b = (
+        fmsync.sample(p, "heat-bath", kappa=5.0, init=start, n_chains=k, n_draws=5, warmup=3, rng=1) for k in (2, 3)
+    )
+    np.testing.assert_array_equal(a.absolute, b.absolute[:2])
+    assert np.abs(b.absolute[1] - b.absolute[0]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kappa": 0.0}, "kappa: must be finite and > 0"),
+        ({"kappa": -3.0}, "kappa: must be finite and > 0"),
+        ({"kappa": np.nan}, "kappa"),
+        ({"kappa": "matched"}, "kappa: a number > 0 or 'auto'"),
+        ({"kappa": 3.0, "beta": 1.5}, "give one of them"),
+        ({"kappa": "auto", "beta": 1.5}, "give one of them"),
+        ({"likelihood": "gaussian"}, "likelihood: 'langevin' or 'projected-gaussian'"),
+        ({"likelihood": "projected-gaussian", "kappa": 3.0}, "infers sigma2"),
+        ({"over_relaxations": -1}, "over_relaxations"),
+        ({"energy": "geodesic"}, "energy: 'heat-bath' needs the Euclidean energy; 'hmc', 'mala' and 'rlfm' take"),
+        ({"n_draws": 0}, "n_draws"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        fmsync.sample(noisy(), "heat-bath", **options)
+
+
+def test_levels_need_rotations_and_plain_weights():
+    p = noisy()
+    stretched = fmsync.SyncProblem(p.n_nodes, p.edges, 1.1 * p.maps)
+    for options in ({"kappa": "auto"}, {"likelihood": "projected-gaussian"}):
+        with pytest.raises(ValueError, match="0 is not a rotation"):
+            fmsync.sample(stretched, "heat-bath", **options)
+    assert fmsync.sample(stretched, "heat-bath", kappa=2.0, n_draws=1, warmup=0).n_draws == 1
+    weighted = fmsync.SyncProblem(p.n_nodes, p.edges, p.maps, np.full(p.n_edges, 2.0))
+    with pytest.raises(ValueError, match="weights"):
+        fmsync.sample(weighted, "heat-bath", likelihood="projected-gaussian")
