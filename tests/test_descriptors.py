@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from surfaces import icosphere, potato, relabelled, rotation
+from tests.surfaces import icosphere, potato, relabelled, rotation
 
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.shape import Basis, laplace_beltrami

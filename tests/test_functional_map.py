@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from surfaces import icosphere, potato, relabelled, rotation
+from tests.surfaces import icosphere, potato, relabelled, rotation
 
 from fmsync import so
 from fmsync.descriptors import heat_kernel_signature, wave_kernel_signature

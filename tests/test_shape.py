@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import robust_laplacian
 from scipy.linalg import eigh
-from surfaces import icosphere, potato, relabelled
+from tests.surfaces import icosphere, potato, relabelled
 
 from fmsync.shape import Basis, Shape, _cotangent_laplacian, laplace_beltrami
 
