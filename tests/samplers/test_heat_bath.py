@@ -146,7 +146,7 @@ def test_concentration_step_against_quadrature(trace, count):
     draws, kappa = np.empty(20_000), 1.0
     for t in range(len(draws)):
         draws[t] = kappa = _levels.draw_kappa(kappa, trace, count, 3, table, state)
-    grid = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 1500))  # equal steps in log κ: the density gains a factor κ
+    grid = np.geomspace(1e-6, 1e5, 2500)  # equal steps in log κ: the density gains a factor κ
     normaliser = np.array([float(langevin.log_normaliser(3, k)) for k in grid])
     density = grid * trace - count * normaliser + np.log(grid)
     weight = np.exp(density - density.max())
