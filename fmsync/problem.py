@@ -228,35 +228,67 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     One dense product for well-filled graphs, one product per node for sparse ones. Blocks C_j may also be
     (m, n): then the sums are the product of the connection matrix with m vectors.
     """
-    n_nodes, rows, n = c.shape[-3:]
-    flat = c.reshape(-1, n_nodes, rows, n)
     if problem.is_dense:
+        n_nodes, rows, n = c.shape[-3:]
+        flat = c.reshape(-1, n_nodes, rows, n)
         stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
         sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
         return np.ascontiguousarray(sums).reshape(c.shape)
-    sums = np.zeros(flat.shape)
-    _sparse_sums(np.ascontiguousarray(flat), problem.maps, problem.weights, *problem.incidence, sums)
-    return sums.reshape(c.shape)
+    return np.ascontiguousarray(transpose(sparse_sums(problem, transpose(c))))
+
+
+def sparse_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
+    r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`, along the edges.
+
+    In the precision of ``blocks``, for which ``maps`` are the observations (by default the problem's, in double).
+    """
+    n_nodes, n, rows = blocks.shape[-3:]
+    flat = np.ascontiguousarray(blocks).reshape(-1, n_nodes, n, rows)
+    sums = np.zeros_like(flat)
+    maps = problem.maps if maps is None else maps
+    _sparse_sums(flat, maps, problem.weights.astype(maps.dtype), *problem.incidence, sums)
+    return sums.reshape(blocks.shape)
 
 
 @numba.njit(cache=True)
-def _sparse_sums(c, maps, weights, start, edge, other, forward, sums):
-    """One product per node and 32 of its edges, neighbours and maps gathered side by side: faster than one an edge."""
-    rows, n = c.shape[2:]
-    gathered_maps, gathered_nodes = np.empty((32 * n, n)), np.empty((32 * n, rows))
-    for k in range(c.shape[0]):
-        for node in range(c.shape[1]):
-            for first in range(start[node], start[node + 1], 32):
-                count = min(32, start[node + 1] - first)
-                for t in range(count):
-                    observation, neighbour = maps[edge[first + t]], c[k, other[first + t]]
-                    weight = weights[edge[first + t]]
+def _sparse_sums(blocks, maps, weights, start, edge, other, forward, sums):
+    """One product per node, direction and 32 of its edges, whose maps and blocks are gathered in long strides.
+
+    Maps of edges that come in stand on top of each other and count transposed, those of edges that go out side by side.
+    """
+    n, rows = blocks.shape[2:]
+    maps_gathered, blocks_gathered = np.empty(32 * n * n, blocks.dtype), np.empty((32 * n, rows), blocks.dtype)
+    for node in range(blocks.shape[1]):
+        first = start[node]
+        while first < start[node + 1]:
+            incoming = forward[first]
+            last = first + 1
+            while last < min(start[node + 1], first + 32) and forward[last] == incoming:
+                last += 1
+            height = (last - first) * n
+            wide = maps_gathered[: n * height].reshape(n, height)
+            tall = maps_gathered[: n * height].reshape(height, n)
+            for t in range(last - first):
+                observation = maps[edge[first + t]]
+                if incoming:
                     for a in range(n):
                         for b in range(n):
-                            gathered_maps[t * n + a, b] = observation[a, b] if forward[first + t] else observation[b, a]
+                            tall[t * n + a, b] = observation[a, b]
+                else:
+                    for a in range(n):
+                        for b in range(n):
+                            wide[a, t * n + b] = observation[a, b]
+            for k in range(blocks.shape[0]):
+                for t in range(last - first):
+                    weight, neighbour = weights[edge[first + t]], blocks[k, other[first + t]]
+                    for a in range(n):
                         for b in range(rows):
-                            gathered_nodes[t * n + a, b] = weight * neighbour[b, a]
-                sums[k, node] += np.dot(gathered_nodes[: count * n].T, gathered_maps[: count * n])
+                            blocks_gathered[t * n + a, b] = weight * neighbour[a, b]
+                if incoming:
+                    sums[k, node] += np.dot(tall.T, blocks_gathered[:height])
+                else:
+                    sums[k, node] += np.dot(wide, blocks_gathered[:height])
+            first = last
 
 
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:

@@ -60,12 +60,15 @@ class TestEnergies:
 
     def test_dense_and_sparse_products_agree(self):
         dense, rng = PROBLEMS["multigraph"], np.random.default_rng(0)
-        sums = np.zeros((3, 4, 5, 5))
         c = rng.standard_normal((3, 4, 5, 5))
-        room._sparse_sums(c, dense.maps, dense.weights, *dense.incidence, sums)
+        blocks = c.swapaxes(-2, -1)
+        sums = room.sparse_sums(dense, blocks).swapaxes(-2, -1)
         assert dense.is_dense
         assert not PROBLEMS["sparse"].is_dense
         np.testing.assert_allclose(room.neighbour_sums(dense, c), sums, atol=1e-12)
+        single = room.sparse_sums(dense, blocks.astype(np.float32), dense.maps.astype(np.float32))
+        assert single.dtype == np.float32
+        np.testing.assert_allclose(single.swapaxes(-2, -1), sums, atol=1e-4)
 
     def test_unconstrained_energy_equals_the_euclidean_one_on_rotations(self, problem, c):
         assert room.unconstrained_energy(problem, c) == pytest.approx(room.energy(problem, c))

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmsync import so
 from fmsync.estimators import Callback, Trace
-from fmsync.problem import SyncProblem, neighbour_sums
+from fmsync.problem import SyncProblem, neighbour_sums, sparse_sums
 from fmsync.so import sym, transpose
 
 _MACHINE_STEP = 1e-13  # relative decrease of the cost that rounding still resolves
@@ -44,16 +44,24 @@ class Model(Protocol):
     def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray: ...
 
     def preconditioner(self, point: Point) -> np.ndarray:
-        """Positive factors, broadcast against tangent arrays, near the inverse of the Hessian's diagonal."""
+        """Positive factors, broadcast against tangent arrays, near the inverse of the Hessian's diagonal.
+
+        Conjugate gradients run in their precision.
+        """
 
     def retract(self, point: Point, step: np.ndarray) -> np.ndarray: ...
 
 
 class Rotations:
-    """The Euclidean energy in the body frame: tangent arrays are skew-symmetric (N, n, n), steps are Cayley steps."""
+    """The Euclidean energy in the body frame: tangent arrays are skew-symmetric (N, n, n), steps are Cayley steps.
+
+    On sparse graphs Hessian products are in single precision: conjugate gradients gain a digit or two a step, and the
+    next step, whose gradient is in double, takes off what rounding left.
+    """
 
     def __init__(self, problem: SyncProblem):
         self._problem = problem
+        self._single = None if problem.is_dense else problem.maps.astype(np.float32)
         self.dimension = problem.n_nodes * problem.dim
         self.diameter = np.sqrt(problem.n_nodes * problem.n)
         self.magnitude = max(1.0, problem.constant)
@@ -61,21 +69,29 @@ class Rotations:
     def evaluate(self, absolute: np.ndarray) -> Point:
         product = transpose(absolute) @ neighbour_sums(self._problem, absolute)  # C_j^T S_j
         cost = self._problem.constant - float(np.einsum("jaa->", product))
-        return Point(absolute, cost, transpose(product) - product, sym(product))
+        gradient, curvature = transpose(product) - product, sym(product)
+        if self._single is None:
+            return Point(absolute, cost, gradient, (absolute, curvature))
+        return Point(absolute, cost, gradient, (absolute.astype(np.float32), curvature.astype(np.float32)))
 
     def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
-        inner = transpose(point.absolute) @ neighbour_sums(self._problem, point.absolute @ direction)
-        inner -= direction @ point.extra
-        return transpose(inner) - inner  # -2 skew
+        absolute, curvature = point.extra
+        if self._single is None:
+            inner = transpose(neighbour_sums(self._problem, absolute @ direction)) @ absolute
+        else:  # skew-symmetric: (C Omega)^T = -Omega C^T
+            inner = sparse_sums(self._problem, direction @ transpose(absolute), self._single) @ absolute
+            inner *= -1
+        inner += curvature @ direction  # (C^T S' - Omega Lambda)^T
+        return inner - transpose(inner)  # -2 skew of its transpose
 
     def preconditioner(self, point: Point) -> np.ndarray:
         # One number a node. The exact inverse of the node-diagonal part, a Lyapunov operator, saves a fifth of the
         # products and costs more than it saves.
-        curvature = 2 * np.einsum("jaa->j", point.extra) / self._problem.n
+        curvature = 2 * np.einsum("jaa->j", point.extra[1]) / self._problem.n
         return 1 / np.maximum(curvature, 0.05 * np.abs(curvature).max() + 1e-300)[:, None, None]
 
     def retract(self, point: Point, step: np.ndarray) -> np.ndarray:
-        return point.absolute @ so.cayley(step)
+        return point.absolute @ so.cayley(step.astype(float))
 
 
 def minimise(
@@ -115,9 +131,9 @@ def minimise(
 def _truncated_cg(model: Model, point: Point, radius: float, tolerance: float) -> tuple[np.ndarray, float, bool]:
     """Steihaug–Toint: a step, the decrease its quadratic model predicts, and whether it hit the boundary."""
     inverse_diagonal = model.preconditioner(point)
-    step = np.zeros_like(point.gradient)
+    residual = point.gradient.astype(inverse_diagonal.dtype)
+    step = np.zeros_like(residual)
     curved_step = np.zeros_like(step)  # Hessian times step, for the model value
-    residual = point.gradient.copy()
     direction = -inverse_diagonal * residual
     slope = -np.vdot(residual, direction)
     target = max(point.norm * min(0.1, point.norm), 0.3 * tolerance)  # superlinear, no better than what is asked for
