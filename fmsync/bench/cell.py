@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import importlib
 import multiprocessing
 import os
 import platform
@@ -61,6 +62,8 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
     try:
         if cell.file is not None:
             methods.load(cell.file)
+        else:
+            importlib.import_module(cell.module)
         method = methods.get(cell.method)
         with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
             warnings.simplefilter("always")
@@ -72,7 +75,7 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
                 answer = method.run(problem, np.random.default_rng([cell.seed, 1]), cell.options)
             spent = (time.perf_counter() - began, time.thread_time() - cpu, _peak() - before)
         rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
-        record["metrics"] = [(name, None, float(value)) for name, value in rows] + measure(problem, answer)
+        record["metrics"] = [[name, None, float(value)] for name, value in rows] + measure(problem, answer)
         record["warnings"] = sorted({str(warning.message) for warning in caught})
     except CellTimeoutError:
         record |= {"status": "timeout", "traceback": f"more than {cell.seconds:g} s"}
@@ -84,7 +87,7 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
     return record
 
 
-def measure(planted: Planted, answer: methods.Answer) -> list[tuple[str, float | None, float]]:
+def measure(planted: Planted, answer: methods.Answer) -> list[list]:
     """All metrics that make sense for this problem and this answer, as rows (name, at, value).
 
     ``at`` is the abscissa of metrics that are curves, None of the others.
@@ -107,7 +110,7 @@ def measure(planted: Planted, answer: methods.Answer) -> list[tuple[str, float |
     for step, relative in answer.path:
         found.append(("error_at_step", step, metrics.frobenius_errors(relative(edges), planted.relative(edges)).mean()))
     found += [(name, None, value) for name, value in {**answer.numbers, **planted.references}.items()]
-    return [(name, None if at is None else float(at), float(value)) for name, at, value in found]
+    return [[name, None if at is None else float(at), float(value)] for name, at, value in found]
 
 
 def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> Iterator:

@@ -73,6 +73,8 @@ def run_cells(
     if n_jobs < 1:
         raise ValueError(f"n_jobs: need at least one process, got {n_jobs}")
     done, corrupt, waiting = {}, [], {}
+    for cell in cells:
+        cell.module, cell.key  # noqa: B018  looked up once here, and not again in every worker
     try:
         store.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -197,7 +199,7 @@ class _Dask:
             raise RunError("dask: not installed; pip install 'fmsync[dask]'") from error
         self.crashes = (KilledWorker,)
         try:
-            self._client = Client(scheduler, timeout=10)
+            self._client = Client(scheduler, timeout=5)
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(
                 f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); "

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from fmsync import estimators, samplers
-from fmsync.diagnostics import summary
 from fmsync.problem import relative_maps
 
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
@@ -103,7 +102,7 @@ def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Ans
     began = time.perf_counter()
     post = samplers.sample(problem, method, rng=rng, **options)
     seconds = time.perf_counter() - began
-    ess = summary(post)["ess_bulk"].min()
+    ess = post.summary()["ess_bulk"].min()
     numbers = {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
     draws = np.swapaxes(post.absolute, 0, 1).reshape(-1, *post.absolute.shape[2:])  # chains take turns
     return Answer(post.relative_mean, draws, numbers)
@@ -137,16 +136,23 @@ def names() -> list[str]:
 
 def get(name: str) -> Method:
     """The method of that name; a ValueError with the nearest names when there is none."""
-    known = names()
-    if name in _REGISTRY:
-        return _REGISTRY[name]
-    if name in estimators._REGISTRY:
-        return Method(name, estimators._REGISTRY[name], "estimator")
-    if name in samplers._REGISTRY:
-        return Method(name, samplers._REGISTRY[name], "sampler")
+    if (found := _registered(name)) is not None:
+        return found
+    known = names()  # looks through the folders only when it must
+    if (found := _registered(name)) is not None:
+        return found
     close = difflib.get_close_matches(name, known)
     hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
     raise ValueError(f"method: there is no {name!r}; {hint}")
+
+
+def _registered(name: str) -> Method | None:
+    if name in _REGISTRY:
+        return _REGISTRY[name]
+    for registry, kind in ((estimators._REGISTRY, "estimator"), (samplers._REGISTRY, "sampler")):
+        if name in registry:
+            return Method(name, registry[name], kind)
+    return None
 
 
 def load(file: str | Path) -> list[str]:

@@ -79,6 +79,11 @@ class Cell:
         """Address of the cell in a store."""
         return key_of(self.content)
 
+    @cached_property
+    def module(self) -> str:
+        """Module that registers the method: a worker imports this one, and not those of all methods."""
+        return methods.get(self.method).module
+
     def __str__(self) -> str:
         problem = " ".join(f"{name}={value}" for name, value in self.problem.items())
         return f"{self.label} [{problem} seed={self.seed}]"
@@ -189,8 +194,9 @@ class _Reader:
                 if needed not in grid:
                     raise SuiteError(f"{self._where('[[grid]]')}: {needed} is missing in a grid")
             self._check_problem(grid["generator"], grid["problem"])
-            labels = [*grid["methods"], *self._extra]
-            entries = [(label, *self._entry_of(label)) for label in labels]
+            entries = [(label, *self._entry_of(label)) for label in grid["methods"]]
+            used = {method for _, method, _ in entries}
+            entries += [(label, *self._entry_of(label)) for label in self._extra if label not in used]
             limit = grid.get("seconds", self._file.get("seconds", 60))
             memory = self._file.get("memory", 2000)
             n_seeds = seeds or grid.get("seeds", self._file["seeds"])
@@ -207,7 +213,7 @@ class _Reader:
                                 options,
                                 float(limit),
                                 float(memory),
-                                self._extra.get(label),
+                                self._extra.get(method),
                             )
                         )
         return cells
