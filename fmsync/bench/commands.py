@@ -25,7 +25,7 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         "  fmsync bench run smoke --with my_method.py\n  fmsync bench run paper --backend dask --scheduler tcp://127.0.0.1:8786",
     )
     run.add_argument("suite", help="name of a suite, or a .toml file")
-    run.add_argument("--seeds", type=int, help="number of seeds in place of the suite's")
+    run.add_argument("--seeds", type=int, help="at most so many seeds, to begin with")
     run.add_argument("--only", metavar="REGEX", help="only cells whose description matches; writes no results")
     run.add_argument(
         "--with", dest="files", action="append", default=[], metavar="FILE", help="file that adds a method"

@@ -28,6 +28,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from fmsync.bench import methods
 from fmsync.bench.code import fingerprint, method_modules
 from fmsync.bench.store import key_of
@@ -136,7 +138,7 @@ def load_suite(
     files
         Files that register methods; these join every grid.
     seeds
-        In place of the number in the file.
+        At most so many seeds, and no more than the file says.
     only
         Keep the cells whose description (``str(cell)``) matches this regular expression.
 
@@ -199,9 +201,9 @@ class _Reader:
             entries += [(label, *self._entry_of(label)) for label in self._extra if label not in used]
             limit = grid.get("seconds", self._file.get("seconds", 60))
             memory = self._file.get("memory", 2000)
-            n_seeds = seeds or grid.get("seeds", self._file["seeds"])
+            n_seeds = min(seeds or np.inf, grid.get("seeds", self._file["seeds"]))
             for problem in _sweep(grid["problem"]):  # problem by problem: a worker makes each once
-                for seed in range(n_seeds):
+                for seed in range(int(n_seeds)):
                     for label, method, options in entries:
                         cells.append(
                             Cell(
