@@ -20,20 +20,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fmsync import oracle
 from fmsync._threads import single_threaded_blas
-from fmsync.bench import methods, metrics
+from fmsync.bench import methods
+from fmsync.bench.measure import measure
 from fmsync.bench.planted import Planted
 from fmsync.bench.suites import Cell, generator_function
-from fmsync.functional_map import point_map
-from fmsync.problem import SyncProblem, cycle_error
+from fmsync.problem import SyncProblem
 
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
-_MOST_DRAWS = 1000
-_MOST_EDGES = 20  # whose draws are scored: edges of one problem say much the same
 _STATUS = Path("/proc/self/status")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
-_LARGEST_POINT_ERROR = 0.25
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
 
 
@@ -86,62 +82,6 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
         record |= {"status": "error", "traceback": traceback.format_exc()}
     record["wall"] = time.perf_counter() - began
     return record
-
-
-def measure(planted: Planted, answer: methods.Answer) -> list[list]:
-    """All metrics that make sense for this problem and this answer, as rows (name, at, value).
-
-    ``at`` is the abscissa of metrics that are curves, None of the others.
-    """
-    edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
-    pairs = planted.pairs()
-    edges = edges if len(edges) <= len(pairs) else edges[metrics.thinned(len(edges), len(pairs))]
-    found: list[tuple[str, float | None, float]] = []
-    for name, which in (("edge", edges), ("pair", pairs)):
-        errors = metrics.frobenius_errors(answer.relative(which), planted.relative(which))
-        if np.isfinite(errors).all():
-            found += [(f"{name}_error", None, errors.mean()), (f"{name}_rms", None, metrics.root_mean_square(errors))]
-    cycles = cycle_error(planted.problem.n_nodes, edges, answer.relative(edges))
-    if len(cycles):
-        found.append(("cycle_error", None, cycles.mean()))
-    if answer.draws is not None:
-        found += _measure_draws(planted, answer.draws, edges)
-    if planted.bases and planted.distances:
-        found += _measure_points(planted, answer, pairs)
-    for step, relative in answer.path:
-        found.append(("error_at_step", step, metrics.frobenius_errors(relative(edges), planted.relative(edges)).mean()))
-    found += [(name, None, value) for name, value in {**answer.numbers, **planted.references}.items()]
-    return [[name, None if at is None else float(at), float(value)] for name, at, value in found]
-
-
-def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> Iterator:
-    chosen = draws[metrics.thinned(len(draws), _MOST_DRAWS)]
-    edges = edges[metrics.thinned(len(edges), _MOST_EDGES)]
-    truth = planted.relative(edges)
-    relative = np.swapaxes(chosen[:, edges[:, 0]], -1, -2) @ chosen[:, edges[:, 1]]
-    yield "energy_score", None, metrics.energy_score(relative, truth)
-    coverage = metrics.covered(relative, truth).mean(axis=1)
-    for level, share in zip(metrics.LEVELS, coverage):
-        yield f"coverage_{round(100 * level)}", None, share
-    yield "calibration_error", None, metrics.calibration_error(coverage)
-    counts = np.unique(np.geomspace(1, len(chosen), 13).astype(int))
-    accuracy = oracle.oracle_accuracy(chosen, planted.truth, counts)
-    yield "oracle_accuracy", None, accuracy[-1]
-    for count, value in zip(counts, accuracy):
-        yield "accuracy_at_draws", count, value
-
-
-def _measure_points(planted: Planted, answer: methods.Answer, pairs: np.ndarray) -> Iterator:
-    errors = []
-    for (i, j), c in zip(pairs, answer.relative(pairs)):
-        sent = point_map(c, planted.bases[i], planted.bases[j])
-        errors.append(metrics.point_errors(sent, planted.distances[j]))
-    errors = np.concatenate(errors)
-    yield "point_error", None, errors.mean()
-    yield "point_area", None, metrics.area_under_curve(errors, _LARGEST_POINT_ERROR)
-    thresholds = np.linspace(0, _LARGEST_POINT_ERROR, 26)
-    for threshold, share in zip(thresholds, metrics.cumulative_curve(errors, thresholds)):
-        yield "point_curve", threshold, share
 
 
 @lru_cache(maxsize=2)

@@ -8,6 +8,7 @@ import pytest
 
 from fmsync.bench import cell as cells
 from fmsync.bench import methods
+from fmsync.bench.measure import measure
 from fmsync.bench.metrics import frobenius_errors
 from fmsync.bench.planted import Planted
 from fmsync.bench.suites import Cell
@@ -87,7 +88,7 @@ def test_a_failure_keeps_its_traceback():
 def test_metrics_of_an_answer_worked_out_by_hand(planted):
     problem = planted(n_nodes=4, n=4)
     shifted = methods.Answer(lambda pairs: problem.relative(pairs) + np.eye(4) * 0.5)
-    found = {name: value for name, at, value in cells.measure(problem, shifted)}
+    found = {name: value for name, at, value in measure(problem, shifted)}
     assert found["edge_error"] == pytest.approx(1.0)  # ||I / 2||_F
     assert found["pair_rms"] == pytest.approx(1.0)
     assert found["cycle_error"] > 0.1
@@ -100,7 +101,7 @@ def test_edges_alone_when_an_answer_knows_no_other_pair(planted):
 
     sparse = Planted(SyncProblem(5, full.problem.edges[keep], full.problem.maps[keep]), full.truth)
     answer = methods.get("observed").run(sparse, np.random.default_rng(0), {})
-    found = {name: value for name, at, value in cells.measure(sparse, answer)}
+    found = {name: value for name, at, value in measure(sparse, answer)}
     assert "pair_error" not in found
     expected = frobenius_errors(sparse.problem.maps, sparse.relative(sparse.problem.edges)).mean()
     assert found["edge_error"] == pytest.approx(expected)

@@ -73,7 +73,7 @@ class Cell:
             "seed": self.seed,
             "method": self.method,
             "options": dict(self.options),
-            "code": _fingerprint(frozenset(code["method"] | code["generator"] | {"fmsync.bench.cell"})),
+            "code": _fingerprint(frozenset(code["method"] | code["generator"] | {"fmsync.bench.measure"})),
         }
 
     @cached_property
