@@ -1,4 +1,4 @@
-"""Every metric that makes sense for an answer. Part of the address of every cell: an edit here makes all cells stale."""
+"""Every metric that makes sense for an answer. Part of the address of a cell: an edit here makes all cells stale."""
 
 from collections.abc import Iterator
 
