@@ -62,8 +62,9 @@ def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.nd
         distinct = np.unique(post.problem.edges, axis=0)
         edges = distinct[np.linspace(0, len(distinct) - 1, min(_MAX_PAIRS, len(distinct))).astype(int)]
     values = _levels(post)
+    absolute = post.kept()
     for i, j in np.asarray(edges).tolist():
-        first, second = post.absolute[:, :, i], post.absolute[:, :, j]
+        first, second = absolute[:, :, i], absolute[:, :, j]
         values[f"tr C[{i},{j}]"] = np.einsum("ktab,ktab->kt", first, second)
         values[f"C[{i},{j}][0,0]"] = np.einsum("kta,kta->kt", first[..., 0], second[..., 0])
     return values

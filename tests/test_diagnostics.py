@@ -43,6 +43,7 @@ def test_bad_values_are_named():
         diagnostics.ess(np.zeros((2, 9)), "middle")
 
 
+@pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
 def test_summary_does_not_depend_on_the_gauge():
     p = data_gen.perturb(data_gen.planted(6, 3, rng=0), 0.1, 1)
     post = fmsync.sample(p, n_chains=2, n_draws=50, warmup=50, rng=0)
@@ -56,3 +57,28 @@ def test_summary_does_not_depend_on_the_gauge():
     relative = post.relative([[0, 1]])[:, :, 0]
     assert table.loc["tr C[0,1]", "mean"] == pytest.approx(np.trace(relative.mean((0, 1))))
     assert table.loc["C[0,1][0,0]", "sd"] == pytest.approx(relative[..., 0, 0].std())
+
+
+def test_chains_that_disagree_are_warned_of_with_advice():
+    p = data_gen.perturb(data_gen.planted(6, 3, rng=0), 0.1, 1)
+    with pytest.warns(diagnostics.ConvergenceWarning, match=r"R-hat of energy is .* lengthen warmup"):
+        fmsync.sample(p, n_chains=4, n_draws=100, warmup=0, init="dispersed", step=1e-4)
+    with pytest.warns(diagnostics.ConvergenceWarning, match="effective draws of energy .* raise n_draws"):
+        fmsync.sample(p, "heat-bath", kappa=5.0, n_draws=50)
+
+
+def test_summaries_warn_of_what_the_energy_does_not_show():
+    p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
+    post = fmsync.sample(p, "heat-bath", kappa=5.0, n_draws=500)
+    turned = post.absolute.copy()
+    turned[0, :, 1] = turned[0, :, 1] @ np.diag([-1.0, -1.0, 1.0])  # one chain sits elsewhere
+    moved = fmsync.Posterior(p, "heat-bath", turned, post.energy, post.kappa, False, {})
+    with pytest.warns(diagnostics.ConvergenceWarning, match=r"R-hat of .*C\[0,1\]"):
+        moved.summary()
+
+
+@pytest.mark.filterwarnings("error::fmsync.diagnostics.ConvergenceWarning")
+def test_good_chains_are_not_warned_of():
+    p = data_gen.perturb(data_gen.planted(6, 3, rng=0), 0.1, 1)
+    post = fmsync.sample(p, "heat-bath", n_draws=1000, init="dispersed", warmup=300)
+    assert "log kappa" in post.summary().index

@@ -102,8 +102,8 @@ def _rotate_all(rows, n, over_relax, state):
                 c, s = (along * along - across * across) / square, 2 * along * across / square
             else:
                 size = np.sqrt(square)
-                half_c, half_s = von_mises_half(size, state)
-                c, s = half_c * half_c - half_s * half_s, 2 * half_c * half_s
+                x, y, scale = von_mises_half(size, state)
+                c, s = (x * x - y * y) / scale, 2 * x * y / scale
                 if size > 0.0:  # turned by the angle of the mode
                     c, s = (along * c - across * s) / size, (across * c + along * s) / size
             p, q = rows[a], rows[b]

@@ -61,7 +61,7 @@ class Posterior:
 
         ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
         """
-        return relative_maps(self._kept(), self._edges(edges))
+        return relative_maps(self.kept(), self._edges(edges))
 
     def relative_mean(
         self, edges: np.ndarray | None = None, *, distance: str = "chordal", projected: bool = True
@@ -87,7 +87,7 @@ class Posterior:
         if distance != "chordal":
             raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
         # one product per pair over all draws at once, and no (draws, E, n, n) array
-        absolute = self._kept()
+        absolute = self.kept()
         stacked = {k: absolute[:, :, k].reshape(-1, n) for k in np.unique(edges)}  # (draws n, n)
         mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
         return so.project(mean) if projected else mean
@@ -131,7 +131,8 @@ class Posterior:
         draws = self.relative(edge[None]).reshape(-1, *centre.shape)
         return len(draws) / max(len(draws) - 1, 1) * np.linalg.norm(draws - centre, axis=(1, 2))
 
-    def _kept(self) -> np.ndarray:
+    def kept(self) -> np.ndarray:
+        """``absolute``, or a ValueError that says that the draws were not kept."""
         if self.absolute.shape[1] != self.n_draws:
             raise ValueError("absolute: the draws were not kept (store=None); sample with store='memory' or a path")
         return self.absolute

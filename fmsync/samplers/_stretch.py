@@ -59,6 +59,7 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, sta
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
+    rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
     quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
     for e in range(n_edges):
         np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
@@ -67,12 +68,18 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, sta
             for b in range(n):
                 centre[a, b] = (product[a, b] + product[b, a]) / 2
         np.dot(vectors[e], centre, product)
-        np.dot(product, vectors[e].T, centre)  # in eigen-coordinates
-        rotate_eigenvectors(vectors[e], values[e], centre, sigma2, state)
-        draw_eigenvalues(values[e], centre, sigma2, state)
+        for a in range(n):
+            diagonal[a] = 0.0
+            for b in range(n):
+                rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
+                diagonal[a] += vectors[e, a, b] * product[a, b]
+        rotate_eigenvectors(rows, diagonal, values[e], sigma2, state)
+        draw_eigenvalues(values[e], diagonal, sigma2, state)
         for a in range(n):
             quadratic += values[e, a] * values[e, a]
-            linear += values[e, a] * centre[a, a]
+            linear += values[e, a] * diagonal[a]
+            for b in range(n):
+                vectors[e, a, b] = rows[a, b]
     scale = 1.0
     if levels:
         sigma2, scale = draw_level(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
@@ -86,79 +93,80 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, sta
     return sigma2
 
 
-@numba.njit(cache=True, nogil=True)
-def rotate_eigenvectors(vectors, values, centre, sigma2, state):
-    r"""Gibbs draws of all planes of eigenvectors (rows), the centre B = V A Vᵀ following.
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def rotate_eigenvectors(rows, diagonal, values, sigma2, state):
+    r"""Gibbs draws of all planes of eigenvectors: rows (n, 2n) hold V and V A side by side, rotated together.
 
-    Twice the angle is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`.
+    With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
+    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`.
     """
     n = len(values)
     for a in range(n - 1):
+        p = rows[a]
         for b in range(a + 1, n):
-            gap = (values[a] - values[b]) / sigma2
-            along, across = gap * (centre[a, a] - centre[b, b]) / 2, gap * centre[a, b]
-            size = np.sqrt(along * along + across * across)
-            c, s = von_mises_half(size, state)
-            if size > 0.0:  # half the angle of the mode comes on top
-                if along >= 0:
-                    mode_c = np.sqrt((1 + along / size) / 2)
-                    mode_s = across / (2 * size * mode_c)
-                else:
-                    mode_s = np.sqrt((1 - along / size) / 2)
-                    mode_c = across / (2 * size * mode_s)
-                c, s = c * mode_c - s * mode_s, s * mode_c + c * mode_s
-            p, q = vectors[a], vectors[b]
-            u, v = centre[a], centre[b]
+            q = rows[b]
+            between = 0.0
             for r in range(n):
+                between += p[r] * q[n + r]
+            half = (diagonal[a] - diagonal[b]) / 2
+            gap = (values[a] - values[b]) / sigma2
+            along, across = gap * half, gap * between
+            size = np.sqrt(along * along + across * across)
+            c, s, square = von_mises_half(size, state)
+            if size > 0.0:  # half the angle of the mode comes on top: the angle of (size + along, across)
+                x, y = (size + along, across) if along >= 0 else (across, size - along)
+                square *= 2 * size * (size + abs(along))
+                c, s = c * x - s * y, s * x + c * y
+            shrink = 1 / np.sqrt(square)
+            c, s = c * shrink, s * shrink
+            for r in range(2 * n):
                 first, second = p[r], q[r]
                 p[r] = c * first + s * second
                 q[r] = c * second - s * first
-                first, second = u[r], v[r]
-                u[r] = c * first + s * second
-                v[r] = c * second - s * first
-            aa, ab = c * u[a] + s * u[b], c * u[b] - s * u[a]
-            ba, bb = c * v[a] + s * v[b], c * v[b] - s * v[a]
-            for r in range(n):  # symmetric: columns are the rows
-                centre[r, a], centre[r, b] = u[r], v[r]
-            u[a], u[b], v[a], v[b] = aa, (ab + ba) / 2, (ab + ba) / 2, bb
+            middle = (diagonal[a] + diagonal[b]) / 2
+            half = half * (c * c - s * s) + between * 2 * c * s
+            diagonal[a], diagonal[b] = middle + half, middle - half
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _log_density(squares, least, x, mean, sigma2):
+    """Logarithm of the density of an eigenvalue at x given the squares and the least of the others."""
+    if x + least <= 0:
+        return -np.inf
+    logarithm, square = -((x - mean) ** 2) / (2 * sigma2), x * x
+    for first in range(0, len(squares), 24):  # one logarithm for many factors, few enough not to overflow
+        product = 1.0
+        for c in range(first, min(first + 24, len(squares))):
+            product *= square - squares[c]
+        logarithm += np.log(abs(product))
+    return logarithm
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_density(values, k, x, mean, sigma2):
-    """Logarithm of the density of eigenvalue k at x, -inf outside the region."""
-    logarithm, product = -((x - mean) ** 2) / (2 * sigma2), 1.0
-    for c in range(len(values)):
-        if c != k:
-            if x + values[c] <= 0:
-                return -np.inf
-            product *= abs(x * x - values[c] * values[c])
-            if not 1e-250 < product < 1e250:  # one logarithm for all factors, unless they are many
-                if product == 0.0:
-                    return -np.inf
-                logarithm += np.log(product)
-                product = 1.0
-    return logarithm + np.log(product)
-
-
-@numba.njit(cache=True, nogil=True)
-def draw_eigenvalues(values, centre, sigma2, state):
+def draw_eigenvalues(values, diagonal, sigma2, state):
     r"""One slice an eigenvalue, by the density
 
     :math:`\prod_{c\ne k}(\lambda+\lambda_c)|\lambda-\lambda_c|\;e^{-(\lambda-B_{kk})^2/2\sigma^2}`.
     """
     width = 2 * np.sqrt(sigma2)
+    squares = np.empty(len(values) - 1)
     for k in range(len(values)):
-        mean, here = centre[k, k], values[k]
-        level = _log_density(values, k, here, mean, sigma2) + np.log(1 - uniform(state))
+        least = np.inf
+        for c in range(len(values)):
+            if c != k:
+                least = min(least, values[c])
+                squares[c - (c > k)] = values[c] * values[c]
+        mean, here = diagonal[k], values[k]
+        level = _log_density(squares, least, here, mean, sigma2) + np.log(1 - uniform(state))
         low = here - width * uniform(state)
         high = low + width
-        while _log_density(values, k, low, mean, sigma2) > level:
+        while _log_density(squares, least, low, mean, sigma2) > level:
             low -= width
-        while _log_density(values, k, high, mean, sigma2) > level:
+        while _log_density(squares, least, high, mean, sigma2) > level:
             high += width
         while True:
             new = low + (high - low) * uniform(state)
-            if _log_density(values, k, new, mean, sigma2) >= level:
+            if _log_density(squares, least, new, mean, sigma2) >= level:
                 break
             if new < here:
                 low = new

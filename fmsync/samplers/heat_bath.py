@@ -128,6 +128,10 @@ class HeatBath:
         if self._age % _POLISH_EVERY == 0:
             self._refresh()
 
+    def set_kappa(self, kappa: np.ndarray) -> None:
+        """Other concentrations (K,), when they are not inferred."""
+        self.kappa[:] = kappa
+
     def _refresh(self) -> None:
         """Take off the rounding that maps and running energies gathered."""
         self._x = _kernels.polish(self._x)

@@ -176,6 +176,11 @@ class HMC:
         """Evaluate again where the chains are: the temperature or the rounding has changed."""
         self._observed, self._potential, self._gradient = self.evaluate(self._c)
 
+    def set_kappa(self, kappa: np.ndarray) -> None:
+        """Other concentrations (K,), when they are not inferred."""
+        self.kappa[:] = kappa
+        self.refresh()
+
     def _move(self, c: np.ndarray, omega: np.ndarray) -> np.ndarray:
         if not self._exp:
             return c @ so.cayley(omega)

@@ -1,0 +1,87 @@
+"""Replica exchange on a loop that contradicts itself: two modes, equally likely by symmetry."""
+
+import numpy as np
+import pytest
+
+import fmsync
+from fmsync import so
+from fmsync.samplers.tempered import Tempered
+from tests.samplers.laws import mean_and_error, noisy, one_edge
+
+KAPPA = 12.0
+
+
+def twisted_ring(n, n_nodes=8):
+    """All observations say I but one, which is a half turn: the loop closes by turning the rest either way."""
+    maps = np.stack([np.eye(n)] * n_nodes)
+    maps[0] = np.diag([-1.0, -1.0] + [1.0] * (n - 2))
+    return fmsync.SyncProblem(n_nodes, [(i, (i + 1) % n_nodes) for i in range(n_nodes)], maps)
+
+
+def turns_left(post):
+    """(chains, draws) whether the other edges together turn the first plane one way or the other."""
+    relative = post.relative()[:, :, 1:]
+    angle = np.arctan2(relative[..., 1, 0] - relative[..., 0, 1], relative[..., 0, 0] + relative[..., 1, 1])
+    return angle.sum(axis=2) > 0
+
+
+@pytest.mark.parametrize(("n", "base"), [(2, "heat-bath"), (3, "heat-bath"), (2, "hmc"), (2, "mala")])
+def test_the_modes_are_crossed(n, base):
+    p = twisted_ring(n)
+    thin = 8 if base == "mala" else 2
+    post = fmsync.sample(p, "tempered", base=base, kappa=KAPPA, n_chains=8, n_draws=500, warmup=400, thin=thin, rng=0)
+    share, error = mean_and_error(turns_left(post))
+    assert abs(share - 0.5) < 4 * error
+    assert error < 0.1
+    assert post.settings["trips"] > 20
+    assert post.settings["swaps"] > 0.1
+    assert (post.kappa == KAPPA).all()
+    np.testing.assert_allclose(post.energy, fmsync.problem.energy(p, post.absolute), atol=1e-8)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_single_chain_stays_in_one_mode_at_the_same_energy(n):
+    """Both modes have the same energies by symmetry: the chain that never crosses has them right."""
+    p = twisted_ring(n)
+    options = {"kappa": KAPPA, "n_chains": 8, "n_draws": 500, "warmup": 400, "rng": 1}
+    stuck, crossing = fmsync.sample(p, "heat-bath", **options), fmsync.sample(p, "tempered", thin=2, **options)
+    share = turns_left(stuck).mean(axis=1)
+    assert ((share == 0) | (share == 1)).all()
+    (a, a_error), (b, b_error) = mean_and_error(stuck.energy), mean_and_error(crossing.energy)
+    assert abs(a - b) < 4 * np.hypot(a_error, b_error)
+    assert np.hypot(a_error, b_error) < 0.05 * a
+
+
+def test_energies_on_every_rung_are_those_of_their_temperature():
+    """On one edge the exact mean trace is known at every concentration of the ladder."""
+    p = one_edge(3)
+    start = so.random_uniform(3, (20, 2), rng=0)
+    engine = Tempered(p, start, np.random.default_rng(1), kappa=10.0, rungs=4)
+    for _ in range(100):
+        engine.step(warming=True)
+    ladder, traces = np.array(engine.settings["ladder"]), []
+    assert (np.diff(ladder) > 0).all()
+    for _ in range(600):
+        engine.step(warming=False)
+        energy = engine._engine.energy().reshape(20, 4)
+        traces.append(np.take_along_axis((p.constant - energy) / 2, np.argsort(engine._rung, axis=1), axis=1))
+    for r, kappa in enumerate(ladder):
+        mean, error = mean_and_error(np.array(traces)[:, :, r].T)
+        assert abs(mean - 3 * fmsync.langevin.mean_cosine(3, kappa)) < 4 * error
+        assert error < 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"base": "rlfm"}, "base"),
+        ({"rungs": 1}, "rungs"),
+        ({"hottest": 1.0}, "hottest"),
+        ({"kappa": 0.0}, "kappa: must be finite and > 0"),
+        ({"kappa": "auto"}, "does not infer"),
+        ({"energy": "geodesic"}, "'heat-bath' needs the Euclidean energy"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        fmsync.sample(noisy(), "tempered", **options)
