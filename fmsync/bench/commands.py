@@ -39,6 +39,17 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
     run.add_argument("--results", type=Path, help=f"folder of the tables of results (default: {_RESULTS})")
     run.set_defaults(run=_run)
 
+    collect = _command(
+        actions,
+        "collect",
+        "write the table of results of the cells that are finished so far, without running any",
+        "fmsync bench collect paper",
+    )
+    collect.add_argument("suite", help="name of a suite, or a .toml file")
+    collect.add_argument("--store", type=Path, default=_STORE, help="folder of finished cells (default: %(default)s)")
+    collect.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
+    collect.set_defaults(run=_collect)
+
     report = _command(
         actions,
         "report",
@@ -122,6 +133,22 @@ def _run(arguments: argparse.Namespace) -> int:
         write(to_frame(suite.name, run.records), path)
         print(f"wrote {path}")
     return 1 if failed else 0
+
+
+def _collect(arguments: argparse.Namespace) -> int:
+    from fmsync.bench.results import to_frame, write
+    from fmsync.bench.store import Store
+    from fmsync.bench.suites import load_suite
+
+    suite, store = load_suite(arguments.suite), Store(arguments.store)
+    found = [(cell, store.read(cell.key) or store.failure(cell.key)) for cell in suite.cells]
+    records = [{**record, "label": cell.label} for cell, record in found if record is not None]
+    if not records:
+        raise ValueError(f"{arguments.store}: no cell of {suite.name} is finished; run 'fmsync bench run {suite.name}'")
+    path = arguments.results / f"{suite.name}.parquet"
+    write(to_frame(suite.name, records), path)
+    print(f"{len(records)} of {len(suite.cells)} cells; wrote {path}")
+    return 0
 
 
 class _Progress:

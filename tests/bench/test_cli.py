@@ -1,0 +1,76 @@
+"""The command line, and the smoke suite from run to report."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from fmsync.bench import results
+from fmsync.cli import main
+
+TRICKS = str(Path(__file__).with_name("tricks.py"))
+
+
+def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
+    """The benchmark works on this machine; within a minute when nobody else wants it."""
+    places = ["--store", str(tmp_path / "cells"), "--results", str(tmp_path)]
+    assert main(["bench", "run", "smoke", "--jobs", "2", *places]) == 0
+    first = capsys.readouterr().out
+    assert " 0 failed" in first
+    frame = results.read(tmp_path / "smoke.parquet")
+    assert (frame.status == "ok").all()
+    error = frame[frame.metric == "edge_error"].groupby("label").value.mean()
+    assert error["oracle"] == 0.0
+    assert error["mle"] < error["observed"] < error["random"]
+    assert error["mle"] <= error["spectral"] * 1.02
+    point = frame[frame.metric == "point_error"].groupby("label").value.mean()
+    assert point["oracle"] < point["mle"] < point["identity"]
+
+    began = time.perf_counter()
+    assert main(["bench", "run", "smoke", "--jobs", "2", *places]) == 0
+    assert time.perf_counter() - began < 10
+    assert "finished already, 0 are left" in capsys.readouterr().out
+    assert main(["bench", "report", "smoke", "--results", str(tmp_path), "--figures", str(tmp_path)]) == 0
+    assert "oracle" in capsys.readouterr().out
+    assert main(["bench", "compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
+    assert "no difference" in capsys.readouterr().out
+    assert (
+        main(["bench", "collect", "smoke", "--store", str(tmp_path / "cells"), "--results", str(tmp_path / "c")]) == 0
+    )
+    assert len(results.read(tmp_path / "c" / "smoke.parquet")) == len(frame)
+
+
+def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
+    arguments = ["bench", "run", "smoke", "--with", TRICKS, "--only", "^trick-raise .*seed=0", "--seeds", "1"]
+    assert main([*arguments, "--store", str(tmp_path), "--jobs", "1"]) == 1
+    assert "RuntimeError: the trick failed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "smok"], "did you mean smoke"),
+        (["run", "smoke", "--with", "missing.py"], "no such file"),
+        (["run", "smoke", "--backend", "dask"], "--scheduler"),
+        (["report", "nothing"], "fmsync bench run nothing"),
+        (["collect", "smoke", "--store", "no-such-folder"], "no cell of smoke"),
+    ],
+)
+def test_bad_input_ends_with_one_line(arguments, message, capsys):
+    assert main(["bench", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "collect", "report", "compare", "list"])
+def test_help_shows_an_example(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", command, "--help"])
+    assert ended.value.code == 0
+    assert f"fmsync bench {command}" in capsys.readouterr().out.partition("example:")[2]
+
+
+def test_list_names_suites_and_methods(capsys):
+    assert main(["bench", "list"]) == 0
+    out = capsys.readouterr().out
+    assert "smoke" in out
+    assert "spectral" in out

@@ -1,0 +1,174 @@
+"""Tables: tidy rows, intervals, comparisons, and Table 1 beside the paper's."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmsync.bench import figures, report, results
+
+
+def record(label="mle", seed=0, status="ok", problem=None, metrics=(("edge_error", None, 1.0), ("seconds", None, 0.1))):
+    return {
+        "generator": "g:f",
+        "problem": problem or {"n_nodes": 4, "n": 20, "sigma2": 0.2},
+        "seed": seed,
+        "label": label,
+        "method": label,
+        "options": {"a": 1},
+        "status": status,
+        "metrics": [list(row) for row in metrics] if status == "ok" else [],
+        "traceback": "" if status == "ok" else "Traceback\nValueError: no",
+        "commit": "abc",
+        "machine": "m",
+        "versions": "v",
+    }
+
+
+def frame(errors, label="mle", suite="s", **problem):
+    kind = {"n_nodes": 4, "n": 20, "sigma2": 0.2, **problem}
+    rows = [
+        record(label, seed, problem=kind, metrics=(("edge_error", None, error), ("seconds", None, 0.1)))
+        for seed, error in enumerate(errors)
+    ]
+    return results.to_frame(suite, rows)
+
+
+def test_tidy_rows_survive_the_disk(tmp_path):
+    before = results.to_frame(
+        "s",
+        [record(metrics=(("edge_error", None, 0.5), ("error_at_step", 3.0, 0.25))), record(seed=1, status="timeout")],
+    )
+    results.write(before, tmp_path / "deep" / "s.parquet")
+    after = results.read(tmp_path / "deep" / "s.parquet")
+    assert after.metric.tolist()[:2] == ["edge_error", "error_at_step"]
+    assert after["at"].tolist()[1] == 3.0
+    assert after.unit.tolist()[:2] == ["Frobenius"] * 2
+    assert after.direction.tolist()[:2] == ["lower"] * 2
+    assert after.status.tolist() == ["ok", "ok", "timeout"]
+    assert after.detail.tolist()[2] == "ValueError: no"
+    assert np.isnan(after.value.iloc[2])
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_missing_results_say_how_to_make_them(tmp_path):
+    with pytest.raises(ValueError, match="fmsync bench run paper"):
+        results.read(tmp_path / "paper.parquet")
+
+
+def test_bootstrap_covers_the_mean_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    hits = [low <= 0 <= high for low, high in (results.bootstrap(rng.standard_normal(30)) for _ in range(400))]
+    assert 0.89 < np.mean(hits) < 0.98
+
+
+def test_bootstrap_of_one_seed_claims_nothing():
+    assert np.isnan(results.bootstrap([1.0])).all()
+
+
+def test_a_planted_regression_is_found_and_noise_is_not():
+    rng = np.random.default_rng(1)
+    errors = 2 + 0.3 * rng.standard_normal(20)
+    before = pd.concat([frame(errors), frame(errors, "spectral")])
+    after = pd.concat([frame(errors * 1.03), frame(errors + 1e-4 * rng.standard_normal(20), "spectral")])
+    found = results.compare(before, after)
+    assert found[["label", "metric", "verdict"]].to_numpy().tolist() == [["mle", "edge_error", "worse"]]
+    assert found.change.iloc[0] == pytest.approx(0.03)
+    assert results.compare(after, before).verdict.tolist() == ["better"]
+    assert results.compare(before, before).empty
+
+
+def test_new_failures_are_regressions():
+    before, after = (results.to_frame("s", [record(status=status)]) for status in ("ok", "timeout"))
+    assert results.compare(before, after).verdict.tolist() == ["ok -> timeout"]
+
+
+def test_the_paper_s_cells():
+    table = report.paper_table().set_index(["label", "density", "sigma2"]).paper
+    assert len(table) == 75
+    assert table["MLE (2)", 1.0, 0.6] == 3.67
+    assert table["MC (2) geodesic", 0.667, 1.0] == 5.01
+    assert table["MLE (1)", 0.833, 0.4] == 3.19
+    assert table["MC (1)", 0.667, 0.2] == 2.43
+
+
+@pytest.fixture(scope="module")
+def paper():
+    parts = []
+    for label in ("MLE (1)", "MLE (2)", "spectral"):
+        for sigma2 in (0.2, 1.0):
+            errors = {0.2: [2.0, 2.1, 2.2], 1.0: [5.0, 5.1, 5.2]}[sigma2]
+            parts.append(frame(errors, label, "paper", sigma2=sigma2, density=1.0, two_way=False))
+    extra = {"n_nodes": 4, "n": 20, "sigma2": 0.2}
+    steps = tuple(("error_at_step", float(k), 5.0 / (k + 1)) for k in range(5))
+    draws = tuple(("accuracy_at_draws", float(k), 0.2 + 0.01 * k) for k in range(1, 5))
+    lines = (("floor_rms", None, 1.9), ("expected_rms", None, 2.0))
+    level = {**extra, "density": 1.0, "two_way": False}
+    parts.append(
+        results.to_frame(
+            "paper",
+            [
+                record("way of MLE (1)", problem=extra, metrics=steps),
+                record("way of MLE (2)", problem=extra, metrics=steps),
+                record("MC (2)", problem=level, metrics=draws),
+                record("haar-baseline", problem=extra, metrics=draws),
+                record("observed", problem=level, metrics=(("edge_error", None, 4.8), *lines)),
+                record("observed", problem={**level, "sigma2": 1.0}, metrics=(("edge_error", None, 5.7), *lines)),
+            ],
+        )
+    )
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_table1_puts_ours_beside_the_paper_s(paper):
+    table = report.table1(paper, n_nodes=4)
+    row = table[(table.label == "MLE (2)") & (table.sigma2 == 0.2)].iloc[0]
+    assert row["mean"] == pytest.approx(2.1)
+    assert row.paper == 2.08
+    assert row.agrees
+    assert row.floor == 1.9
+    assert row.seeds == 3
+    far = table[(table.label == "MLE (1)") & (table.sigma2 == 1.0)].iloc[0]
+    assert not far.agrees
+    assert not far.recoverable
+    assert table[table.label == "spectral"].paper.isna().all()
+
+
+def test_readings_that_were_not_run_are_refused(paper):
+    assert report.readings(paper) == [{"n_nodes": 4, "two_way": False, "around": "consistent"}]
+    with pytest.raises(ValueError, match="fmsync bench run paper"):
+        report.table1(paper, n_nodes=11)
+
+
+def test_report_text(paper):
+    text = report.report(paper)
+    assert "2.10 [2.00, 2.20] / 2.08*" in text
+    assert "1'" in text
+    assert "abc" in text
+    failed = report.report(results.to_frame("s", [record(), record(seed=1, status="memory")]))
+    assert "memory: mle" in failed
+
+
+def test_scoreboard_ranks_and_counts_failures():
+    rows = pd.concat(
+        [frame([1.0, 2.0], "good"), frame([3.0, 4.0], "bad"), results.to_frame("s", [record("none", status="error")])]
+    )
+    board = report.scoreboard(rows)
+    assert board.label.tolist() == ["good", "bad", "none"]
+    assert board.error.tolist()[:2] == [1.5, 3.5]
+    assert board.failed.tolist() == [0, 0, 1]
+
+
+def test_figures_show_the_tables(paper, tmp_path):
+    paths = report.draw_figures(paper, tmp_path)
+    assert {path.name for path in paths} == {
+        "paper_table1_4_one_consistent.png",
+        "paper_convergence.png",
+        "paper_oracle.png",
+    }
+    assert all(path.stat().st_size > 5000 for path in paths)
+    figure = figures.errors(report.table1(paper, n_nodes=4))
+    mle = next(axis for axis in figure.axes if axis.get_title() == "MLE (2)")
+    np.testing.assert_allclose(mle.lines[0].get_ydata(), [2.1, 5.1])
+    np.testing.assert_allclose(mle.lines[1].get_ydata(), [2.08, 4.82])
+    (board,) = report.draw_figures(frame([1.0, 2.0]), tmp_path)
+    assert board.name == "s_scoreboard.png"
