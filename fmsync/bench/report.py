@@ -102,7 +102,7 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
 def report(frame: pd.DataFrame) -> str:
     """The tables of a suite as text."""
     lines = [_made_by(frame)]
-    if (frame.suite == "paper").all():
+    if frame.suite.str.startswith("paper").all():
         lines += [_text_of_table1(frame, reading) for reading in readings(frame)]
     else:
         board = scoreboard(frame)
@@ -173,7 +173,7 @@ def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     drawn = {}
-    if (frame.suite == "paper").all():
+    if frame.suite.str.startswith("paper").all():
         drawn = {f"table1_{_slug(reading)}": figures.errors(table1(frame, **reading)) for reading in readings(frame)}
         drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
     else:
