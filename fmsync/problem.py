@@ -18,7 +18,7 @@ from fmsync.so import skew, sym, transpose
 
 _DENSE_FROM = 0.2  # above this share of filled blocks one dense product beats a loop over edges (see the benchmarks)
 _ORTHOGONALITY_TOLERANCE = 1e-6
-_EDGES_AT_ONCE = 2048  # keeps temporary arrays far below the size of the observations
+_EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ import numpy as np
 from fmsync import so
 from fmsync.estimators import Estimate
 from fmsync.estimators._groups import check_group, nearest
-from fmsync.estimators.spectral import spectral
+from fmsync.estimators.spectral import spectral_maps
 from fmsync.problem import SyncProblem, check_rotations, neighbour_sums
 
-_ROUGH = 0.03  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+_ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
 def starting_point(
@@ -28,7 +28,7 @@ def starting_point(
                 absolute[..., 0] *= rng.choice([-1.0, 1.0], size=(n_nodes, 1))
             return absolute
         if init == "spectral":
-            return spectral(problem, rng=rng, callback=lambda *_: None, tolerance=_ROUGH, group=group).absolute
+            return spectral_maps(problem, rng, group, _ROUGH)
         raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
     if isinstance(init, Estimate):
         known = nearest(init.absolute, group)

@@ -5,14 +5,12 @@ from scipy.linalg import eigh
 
 from fmsync import so
 from fmsync.estimators import Callback, Estimate, estimator
-from fmsync.estimators._groups import check_group
-from fmsync.problem import SyncProblem, gradient, neighbour_sums
+from fmsync.estimators._groups import check_group, nearest
+from fmsync.problem import SyncProblem, gradient, neighbour_sums, sparse_sums
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
-_DEPTH, _CYCLES = (
-    8,
-    12,
-)  # products between two Rayleigh–Ritz steps, which store as many blocks; and how many such cycles
+_DEPTH, _CYCLES = 12, 8  # products before a restart, which store as many blocks; and how many restarts
+_SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
 @estimator("spectral")
@@ -53,16 +51,19 @@ def spectral(
     >>> bool(np.allclose(fmsync.solve(p, "spectral").relative(), np.eye(4)))
     True
     """
+    estimate = Estimate.from_absolute(problem, spectral_maps(problem, rng, group, tolerance), "spectral", group)
+    callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
+    return estimate
+
+
+def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, tolerance: float) -> np.ndarray:
+    """Members of the group (N, n, n): what ``spectral`` answers, in a gauge of its own."""
     check_group(group)
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
-    frame = _leading_eigenvectors(problem, scale, rng, tolerance)  # (N n, n)
+    frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)
     blocks = so.transpose(frame.reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]  # C_i up to one frame
-    if group == "SO":
-        blocks = _common_orientation(blocks)
-    estimate = Estimate.from_absolute(problem, blocks, "spectral", group)
-    callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
-    return estimate
+    return nearest(_common_orientation(blocks) if group == "SO" else blocks, group)
 
 
 def _leading_eigenvectors(
@@ -72,12 +73,20 @@ def _leading_eigenvectors(
     size, n = len(scale), problem.n
     if size <= max(_BLOCKS_FROM, _DEPTH * n):
         return eigh(scale[:, None] * problem.connection * scale, subset_by_index=[size - n, size - 1])[1]
+    precision = np.float32 if tolerance >= _SINGLE_FROM else np.float64
+    scale = scale[:, None].astype(precision)
+    maps = None if problem.is_dense else problem.maps.astype(precision, copy=False)
 
-    def multiply(x):  # (N n, m)
-        rows = so.transpose((scale[:, None] * x).reshape(problem.n_nodes, n, -1))
-        return scale[:, None] * so.transpose(neighbour_sums(problem, rows)).reshape(size, -1)
+    def multiply(x):  # (N n, n)
+        blocks = (scale * x).reshape(problem.n_nodes, n, n)
+        if problem.is_dense:
+            sums = so.transpose(neighbour_sums(problem, so.transpose(blocks)))
+        else:
+            sums = sparse_sums(problem, blocks, maps)
+        return scale * sums.reshape(size, n).astype(precision, copy=False)
 
-    return _block_krylov(multiply, np.linalg.qr(rng.standard_normal((size, n)))[0], tolerance)
+    start = rng.standard_normal((size, n)).astype(precision)
+    return _block_krylov(multiply, _orthonormal(start)[0], tolerance)
 
 
 def _block_krylov(multiply, x: np.ndarray, tolerance: float) -> np.ndarray:
@@ -86,27 +95,35 @@ def _block_krylov(multiply, x: np.ndarray, tolerance: float) -> np.ndarray:
     Past the recovery threshold there is no gap to converge by: after the last cycle the best there is is returned.
     """
     size, n = x.shape
-    basis = np.empty((_DEPTH * n, size))  # orthonormal rows
+    basis = np.empty((_DEPTH, size, n), x.dtype)
     for _ in range(_CYCLES):
         projected = np.zeros((_DEPTH * n, _DEPTH * n))  # upper triangle of the operator in that basis
-        rows = x.T
-        for used in range(n, _DEPTH * n + 1, n):
-            basis[used - n : used] = rows
+        for used in range(1, _DEPTH + 1):
+            basis[used - 1] = x
             known = basis[:used]
-            image = multiply(rows.T).T
-            overlap = known @ image.T
-            projected[:used, used - n : used] = overlap
-            q, coupling = _orthonormal(image.T - known.T @ overlap)
-            q, _ = _orthonormal(q - known.T @ (known @ q))  # once more: what was left may have been rounding
-            rows = q.T
-            combination = np.linalg.eigh(projected[:used, :used], UPLO="U")[1][:, -n:]
+            x = multiply(x)
+            overlap = _take_off(known, x)
+            projected[: used * n, (used - 1) * n : used * n] = overlap.reshape(used * n, n)
+            x, coupling = _orthonormal(x)
+            if x.dtype == np.float64:  # near convergence what is left may be rounding; single precision stops before
+                _take_off(known, x)
+                x, _ = _orthonormal(x)
+            combination = np.linalg.eigh(projected[: used * n, : used * n], UPLO="U")[1][:, -n:]
             done = np.linalg.norm(coupling @ combination[-n:], axis=0).max() <= tolerance
             if done:
                 break
-        x = known.T @ combination
+        x = (known @ combination.reshape(used, n, n).astype(x.dtype)).sum(axis=0)
         if done:
             break
     return x
+
+
+def _take_off(known: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Remove from x (size, n), in place, its part in orthonormal blocks (k, size, n); returns the overlaps (k, n, n)."""
+    overlap = so.transpose(known) @ x
+    for block, part in zip(known, overlap):
+        x -= block @ part
+    return overlap
 
 
 def _orthonormal(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
