@@ -169,3 +169,21 @@ def test_relative_maps_of_absolute(planted):
     np.testing.assert_array_equal(
         methods.Answer.from_absolute(absolute).relative(pairs), relative_maps(absolute, pairs)
     )
+
+
+@pytest.fixture(scope="module")
+def on_shapes():
+    from data_gen.bench_problems import shapes
+
+    return shapes(seed=0, n_nodes=4, n=14, n_vertices=1000, sigma2=0.01, around="measured", points=True)
+
+
+def test_consistent_zoomout_refines_and_needs_shapes(on_shapes, planted):
+    pytest.importorskip("pyFM")
+    pairs = on_shapes.pairs()
+    first = answer("consistent-zoomout", on_shapes).relative(pairs)
+    np.testing.assert_allclose(answer("consistent-zoomout", on_shapes).relative(pairs), first, atol=1e-8)
+    error = frobenius_errors(first, on_shapes.relative(pairs)).mean()
+    assert error < frobenius_errors(answer("random", on_shapes).relative(pairs), on_shapes.relative(pairs)).mean() / 2
+    with pytest.raises(ValueError, match="no shapes"):
+        answer("consistent-zoomout", planted())
