@@ -136,7 +136,6 @@ def _truncated_cg(model: Model, point: Point, radius: float, tolerance: float) -
     curved_step = np.zeros_like(step)  # Hessian times step, for the model value
     direction = -inverse_diagonal * residual
     slope = -np.vdot(residual, direction)
-    nearness = point.norm * float(inverse_diagonal.mean()) / model.diameter  # about the way left, in diameters
     target = max(point.norm * min(0.1, point.norm), 0.3 * tolerance)  # superlinear, no better than what is asked for
     at_boundary = False
     for _ in range(model.dimension):

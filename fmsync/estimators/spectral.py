@@ -119,7 +119,7 @@ def _block_krylov(multiply, x: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _take_off(known: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Remove from x (size, n), in place, its part in orthonormal blocks (k, size, n); returns the overlaps (k, n, n)."""
+    """Remove from x (size, n), in place, its part in orthonormal blocks (k, size, n); the overlaps are (k, n, n)."""
     overlap = so.transpose(known) @ x
     for block, part in zip(known, overlap):
         x -= block @ part
