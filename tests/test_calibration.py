@@ -1,0 +1,188 @@
+"""Simulation-based calibration on SO(3), and coverage: exact samplers pass, and what is wrong is seen to fail."""
+
+import numpy as np
+import pytest
+
+import data_gen
+import fmsync
+from fmsync import calibration, so
+from fmsync import problem as energies
+from fmsync.samplers._levels import interpolated_log_normaliser, normaliser_table
+
+pytestmark = pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
+N_NODES, KAPPA, N_DRAWS = 5, 4.0, 49
+EDGES = np.array([(i, j) for i in range(N_NODES) for j in range(i + 1, N_NODES)])
+
+
+def log_likelihood(p, energy, kappa):
+    """Of the Langevin noise, from the energy: κ T - E log c_3(κ)."""
+    normaliser = np.vectorize(lambda k: interpolated_log_normaliser(k, normaliser_table(3)))(kappa)
+    return kappa * (p.constant - energy) / 2 - p.n_edges * normaliser
+
+
+def ranks_of(method, n_problems, level=None, factor=1.0, **options):
+    """Ranks (P, 2) of the log-likelihood and of the noise level; ``level`` draws the true one, None fixes κ."""
+    found = []
+    projected = options.get("likelihood") == "projected-gaussian"
+    for seed in range(n_problems):
+        rng = np.random.default_rng([seed, 7])
+        kappa = KAPPA if level is None else level(rng)
+        truth = data_gen.planted(N_NODES, 3, rng=rng)
+        noise = {"sigma2": 1 / kappa} if projected else {"noise": "langevin", "kappa": kappa}
+        p = data_gen.perturb(truth, rng=rng, **noise)
+        given = {"kappa": factor * KAPPA} if level is None else {}
+        post = fmsync.sample(p, method, n_chains=1, n_draws=N_DRAWS, rng=seed, init=truth.absolute, **given, **options)
+        energy = energies.energy(p, truth.absolute)
+        if projected:
+            found.append((calibration.rank(post.energy[0], energy), calibration.rank(post.kappa[0], kappa)))
+        else:
+            draws = log_likelihood(p, post.energy[0], post.kappa[0])
+            found.append(
+                (calibration.rank(draws, log_likelihood(p, energy, kappa)), calibration.rank(post.kappa[0], kappa))
+            )
+    return np.array(found)
+
+
+def check(n_problems, *setting, **options):
+    ranks = ranks_of(*setting[:1], n_problems, *setting[1:], **options)
+    return [calibration.uniformity(column, N_DRAWS) for column in ranks.T]
+
+
+EXACT = {
+    "heat-bath": ("heat-bath", {"warmup": 20, "thin": 4}),
+    "hmc": ("hmc", {"warmup": 40, "thin": 3, "step": 0.2, "length": 0.8}),
+    "mala": ("mala", {"warmup": 30, "thin": 12, "step": 0.3}),
+    "tempered": ("tempered", {"warmup": 20, "thin": 4, "rungs": 3, "hottest": 0.3}),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_samplers_are_calibrated(name):
+    method, options = EXACT[name]
+    assert check(60 if name in ("hmc", "mala") else 150, method, **options)[0] > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_samplers_are_calibrated_in_full(name):
+    method, options = EXACT[name]
+    assert check(1500, method, **options)[0] > 1e-3
+
+
+def uniform_kappa(rng):
+    return rng.uniform(0, 1e5)
+
+
+def log_uniform_precision(rng):
+    return np.exp(-rng.uniform(np.log(1e-5), np.log(10.0)))
+
+
+LEVELS = {
+    "langevin": (uniform_kappa, {"warmup": 150, "thin": 12}),
+    "projected-gaussian": (log_uniform_precision, {"warmup": 150, "thin": 20, "likelihood": "projected-gaussian"}),
+}
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_inferred_noise_levels_are_calibrated(name):
+    """Truths drawn from the documented priors of the noise level; its rank is looked at as well."""
+    level, options = LEVELS[name]
+    assert min(check(120, "heat-bath", level, **options)) > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEVELS)
+def test_inferred_noise_levels_are_calibrated_in_full(name):
+    level, options = LEVELS[name]
+    assert min(check(1500, "heat-bath", level, **options)) > 1e-3
+
+
+def test_a_coarse_unadjusted_chain_fails():
+    assert check(150, "rlfm", warmup=30, thin=6, step=0.12)[0] < 1e-4
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6])
+def test_a_wrong_temperature_fails(factor):
+    assert check(150, "heat-bath", factor=factor, warmup=20, thin=4)[0] < 1e-4
+
+
+def ball_levels(n_problems, noise, **options):
+    """(P, M) levels of the truths of all pairs of six shapes with six basis functions."""
+    rows = []
+    for seed in range(n_problems):
+        truth = data_gen.planted(6, 6, rng=[seed, 1])
+        p = data_gen.perturb(truth, rng=[seed, 2], **noise)
+        post = fmsync.sample(p, "heat-bath", n_chains=2, n_draws=150, warmup=150, thin=2, rng=seed, **options)
+        draws = post.relative().reshape(-1, p.n_edges, 6, 6)
+        rows.append([calibration.ball_level(draws[:, e], c) for e, c in enumerate(truth.maps)])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("noise", "options"),
+    [
+        ({"noise": "langevin", "kappa": 8.0}, {}),
+        ({"sigma2": 0.1}, {"likelihood": "projected-gaussian"}),
+    ],
+)
+def test_balls_cover_what_they_promise(noise, options):
+    nominal = np.array([0.5, 0.8, 0.9, 0.95])
+    shares, errors = calibration.coverage(ball_levels(40, noise, **options), nominal)
+    assert (np.abs(shares - nominal) < np.maximum(3.5 * errors, 0.02)).all()
+    assert errors.max() < 0.06
+
+
+def test_balls_of_the_papers_temperature_cover_too_much():
+    shares, errors = calibration.coverage(
+        ball_levels(15, {"noise": "langevin", "kappa": 8.0}, beta=1.0), np.array([0.5, 0.8])
+    )
+    assert (shares - [0.5, 0.8] > 5 * errors).all()
+
+
+def test_ranks_and_levels_by_hand():
+    draws = np.array([[1.0, 5.0], [2.0, 6.0], [3.0, 7.0]])
+    np.testing.assert_allclose(calibration.rank(draws, np.array([2.5, 4.0])), [2 / 3, 0])
+    shares, errors = calibration.coverage(np.array([[0.1, 0.9], [0.4, 0.45]]), [0.5])
+    assert (shares[0], errors[0]) == (0.75, pytest.approx(0.25))
+
+
+def test_exact_draws_of_a_law_are_covered_by_their_own_balls():
+    rng = np.random.default_rng(0)
+    levels = [
+        calibration.ball_level(*(lambda z: (z[1:], z[0]))(data_gen.langevin.langevin_noise(4, 6.0, 201, rng)))
+        for _ in range(300)
+    ]
+    shares, errors = calibration.coverage(np.array(levels)[:, None], [0.2, 0.5, 0.9])
+    assert (np.abs(shares - [0.2, 0.5, 0.9]) < 4 * errors).all()
+
+
+def test_scores_prefer_the_law_that_the_truth_came_from():
+    rng = np.random.default_rng(1)
+    truths = data_gen.langevin.langevin_noise(4, 6.0, 300, rng)
+    laws = [data_gen.langevin.langevin_noise(4, kappa, 1000, rng) for kappa in (6.0, 20.0, 1.5)]
+    for score in (calibration.energy_score, calibration.log_score):
+        right, cold, hot = (np.array([score(draws, c) for c in truths]) for draws in laws)
+        for wrong in (cold, hot):
+            gap = wrong - right
+            assert gap.mean() > 4 * gap.std() / np.sqrt(len(gap))
+
+
+def test_log_score_is_the_density_of_the_fit():
+    draws = data_gen.langevin.langevin_noise(5, 9.0, 4000, rng=2)
+    truth = so.random_uniform(5, rng=3)
+    exact = fmsync.langevin.log_normaliser(5, 9.0) - 9.0 * np.trace(truth)
+    assert calibration.log_score(draws, truth) == pytest.approx(exact, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: calibration.rank(np.empty(0), 1.0), "draws"),
+        (lambda: calibration.uniformity(np.zeros(20), 9), "ranks"),
+        (lambda: calibration.ball_level(np.zeros((5, 2, 2)), np.eye(3)), "draws"),
+        (lambda: calibration.coverage(np.zeros(5), [0.5]), "levels"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
