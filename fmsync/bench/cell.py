@@ -22,7 +22,7 @@ import numpy as np
 
 from fmsync._threads import single_threaded_blas
 from fmsync.bench import methods
-from fmsync.bench.measure import measure
+from fmsync.bench.measure import measure, method_rng
 from fmsync.bench.planted import Planted
 from fmsync.bench.suites import Cell, generator_function
 from fmsync.problem import SyncProblem
@@ -69,7 +69,7 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
             before = _reset_peak()
             began, cpu = time.perf_counter(), time.thread_time()
             with _limited(cell.seconds, cell.memory):
-                answer = method.run(problem, np.random.default_rng([cell.seed, 1]), cell.options)
+                answer = method.run(problem, method_rng(cell.seed), cell.options)
             spent = (time.perf_counter() - began, time.thread_time() - cpu, _peak() - before)
         rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
         record["metrics"] = [[name, None, float(value)] for name, value in rows] + measure(problem, answer)

@@ -15,6 +15,13 @@ _MOST_EDGES = 20  # whose draws are scored: edges of one problem say much the sa
 _LARGEST_POINT_ERROR = 0.25
 
 
+def method_rng(seed: int) -> np.random.Generator:
+    """The generator of a method. Problem generators draw from streams named by the seed and small numbers; a method
+    that drew from one of those would start at the truth.
+    """
+    return np.random.default_rng([seed, 0x6D6574686F64])
+
+
 def measure(planted: Planted, answer) -> list[list]:
     """All metrics that make sense for this problem and this answer, as rows (name, at, value).
 

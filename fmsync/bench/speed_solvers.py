@@ -1,7 +1,7 @@
 """How fast the solvers are, beside pymanopt and across sizes: ``python -m fmsync.bench.speed_solvers [--large]``.
 
-Every ratio is of two numbers of the same run on one core, since seconds depend on the machine. Peak memory is what
-NumPy allocated during the call, divided by the size of the observed maps.
+Seconds are of CPU time, which other users of the machine disturb least, and every ratio is the median over pairs of
+runs in turn. Peak memory is what NumPy allocated during the call, divided by the size of the observed maps.
 """
 
 import argparse
@@ -35,30 +35,46 @@ def sparse_edges(n_nodes: int, seed: int = 0) -> np.ndarray:
     return np.array(nx.random_regular_graph(20, n_nodes, seed=seed).edges)
 
 
-def best_seconds(run: Callable[[], object], repeats: int) -> tuple[float, object]:
-    """(seconds of the fastest run, its result)."""
-    seconds, result = [], None
-    for _ in range(repeats):
-        began = time.perf_counter()
-        result = run()
-        seconds.append(time.perf_counter() - began)
-    return min(seconds), result
+def in_turn(runs: list[Callable[[], fmsync.Estimate]], repeats: int) -> tuple[np.ndarray, list[fmsync.Estimate]]:
+    """(CPU seconds (repeats, runs), estimates of the last round)."""
+    seconds, estimates = np.empty((repeats, len(runs))), []
+    for round_ in seconds:
+        estimates = []
+        for k, run in enumerate(runs):
+            began = time.process_time()
+            estimates.append(run())
+            round_[k] = time.process_time() - began
+    return seconds, estimates
 
 
-def against_pymanopt(repeats: int) -> None:
+def fresh(problem: SyncProblem) -> SyncProblem:
+    """The same problem with nothing computed yet."""
+    return SyncProblem(problem.n_nodes, problem.edges, problem.maps)
+
+
+def against_pymanopt(repeats: int, n_seeds: int = 10) -> None:
     """Both from the spectral start, initialisation included, to the same gradient norm."""
-    print("N = 11, n = 20, complete, gradient norm 1e-6; seconds")
-    print("sigma2   mle     pymanopt  ratio  cost difference")
+    print(f"N = 11, n = 20, complete, gradient norm 1e-6; medians over {n_seeds} seeds")
+    print("sigma2   mle     pymanopt  ratio  cost differences: least, greatest   ours higher")
     for sigma2 in (0.2, 0.6, 1.0):
-        ours, theirs, difference = 0.0, 0.0, 0.0
-        for seed in range(3):
+        seconds, differences = [], []
+        for seed in range(n_seeds):
             problem, _ = noisy_problem(nx.complete_graph(11).edges, 20, sigma2, seed)
-            seconds, estimate = best_seconds(lambda: fmsync.solve(problem, "mle"), repeats)  # noqa: B023
-            ours += seconds / 3
-            seconds, other = best_seconds(lambda: fmsync.solve(problem, "mle-pymanopt", init="spectral"), repeats)  # noqa: B023
-            theirs += seconds / 3
-            difference = max(difference, estimate.cost - other.cost, key=abs)
-        print(f"{sigma2:<7}  {ours:.4f}  {theirs:.4f}    {theirs / ours:.2f}   {difference:+.1e}")
+            runs = [
+                lambda: fmsync.solve(problem, "mle"),  # noqa: B023
+                lambda: fmsync.solve(problem, "mle-pymanopt", init="spectral"),  # noqa: B023
+            ]
+            taken, (ours, theirs) = in_turn(runs, repeats)
+            seconds.append(taken)
+            differences.append(ours.cost - theirs.cost)
+        seconds = np.concatenate(seconds)
+        ours, theirs = np.median(seconds, axis=0)
+        ratio = np.median(seconds[:, 1] / seconds[:, 0])
+        higher = sum(difference > 1e-6 for difference in differences)
+        print(
+            f"{sigma2:<7}  {ours:.4f}  {theirs:.4f}    {ratio:.2f}   "
+            f"{min(differences):+.1e}, {max(differences):+.1e}   {higher} of {n_seeds}"
+        )
 
 
 def across_sizes(sizes: list[int]) -> None:
@@ -68,26 +84,30 @@ def across_sizes(sizes: list[int]) -> None:
     edges, seconds = [], []
     for n_nodes in sizes:
         problem, truth = noisy_problem(sparse_edges(n_nodes), 20, 0.1, seed=1)
+        taken, (estimate,) = in_turn([lambda: fmsync.solve(problem, "mle")], 1)  # noqa: B023
+        problem = fresh(problem)
         tracemalloc.start()
-        taken, estimate = best_seconds(lambda: fmsync.solve(problem, "mle"), 1)  # noqa: B023
+        fmsync.solve(problem, "mle")
         peak = tracemalloc.get_traced_memory()[1] / problem.maps.nbytes
         tracemalloc.stop()
         expected = np.sqrt(
             (fmsync.expected_rms_error(n_nodes, problem.edges, 20, 0.1, problem.edges[:500]) ** 2).mean()
         )
         error = rms_error(estimate, truth) / expected  # of all edges, which the line of 500 stands for
-        print(f"{n_nodes:<6} {problem.n_edges:<7} {taken:<8.2f} {peak:<10.2f} {estimate.n_iterations:<6} {error:.3f}")
+        print(
+            f"{n_nodes:<6} {problem.n_edges:<7} {taken.item():<8.2f} {peak:<10.2f} {estimate.n_iterations:<6} {error:.3f}"
+        )
         edges.append(problem.n_edges)
-        seconds.append(taken)
+        seconds.append(taken.item())
     print(f"exponent in edges {np.polyfit(np.log(edges), np.log(seconds), 1)[0]:.2f}")
 
 
 def complete_graph(n_nodes: int = 200) -> None:
     """A complete graph, where one dense product serves."""
     problem, truth = noisy_problem(nx.complete_graph(n_nodes).edges, 20, 0.2, seed=1)
-    taken, estimate = best_seconds(lambda: fmsync.solve(problem, "mle"), 2)
+    taken, (estimate,) = in_turn([lambda: fmsync.solve(fresh(problem), "mle")], 3)
     expected = fmsync.expected_rms_error(n_nodes, problem.edges, 20, 0.2)[0]
-    print(f"\ncomplete N = {n_nodes}, sigma2 = 0.2: {taken:.2f} s, {estimate.n_iterations} steps,", end=" ")
+    print(f"\ncomplete N = {n_nodes}, sigma2 = 0.2: {np.median(taken):.2f} s, {estimate.n_iterations} steps,", end=" ")
     print(f"error/expected {rms_error(estimate, truth) / expected:.3f}")
 
 
@@ -95,16 +115,14 @@ def streams(n_nodes: int = 1000) -> None:
     """A shape more, or a hundred edges: from the earlier answer against from nothing."""
     edges = sparse_edges(n_nodes)
     problem, _ = noisy_problem(edges, 20, 0.1, seed=1)
-    cold, _ = best_seconds(lambda: fmsync.solve(problem, "mle"), 2)
-    print(f"\nN = {n_nodes}, warm/cold seconds:", end=" ")
     fewer_edges = SyncProblem(n_nodes, edges[:-100], problem.maps[:-100])
     kept = (edges < n_nodes - 1).all(axis=1)
     fewer_nodes = SyncProblem(n_nodes - 1, edges[kept], problem.maps[kept])
-    for change, before in (("a hundred edges", fewer_edges), ("a shape", fewer_nodes)):
-        earlier = fmsync.solve(before, "mle")
-        warm, _ = best_seconds(lambda: fmsync.solve(problem, "mle", init=earlier), 2)  # noqa: B023
-        print(f"{change} {warm / cold:.2f} ", end=" ")
-    print()
+    starts = ["spectral", fmsync.solve(fewer_edges, "mle"), fmsync.solve(fewer_nodes, "mle")]
+    runs = [lambda start=start: fmsync.solve(fresh(problem), "mle", init=start) for start in starts]
+    seconds, _ = in_turn(runs, 5)
+    edges_ratio, shape_ratio = np.median(seconds[:, 1:] / seconds[:, :1], axis=0)
+    print(f"\nN = {n_nodes}, warm/cold seconds: a hundred edges {edges_ratio:.2f}, a shape {shape_ratio:.2f}")
 
 
 def rms_error(estimate: fmsync.Estimate, truth: np.ndarray) -> float:

@@ -47,6 +47,13 @@ def test_the_same_cell_gives_the_same_numbers():
     assert {"energy_score", "coverage_90", "oracle_accuracy", "calibration_error", "ess_per_second"} <= set(first)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_methods_do_not_draw_the_numbers_of_the_truth(seed):
+    """A random answer is as far from the truth as strangers are; from the truth's own stream it would be near."""
+    found = values(cells.run_cell(cell("random", seed=seed, problem={"n_nodes": 8, "n": 12, "sigma2": 0.1})))
+    assert found["pair_rms"] == pytest.approx(np.sqrt(24), rel=0.1)
+
+
 def test_a_slow_method_is_stopped_and_said_to_be_slow():
     began = time.perf_counter()
     record = cells.run_cell(cell("trick-sleep", seconds=0.3))

@@ -22,6 +22,8 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     error = frame[frame.metric == "edge_error"].groupby("label").value.mean()
     assert error["oracle"] == 0.0
     assert error["mle"] < error["observed"] < error["random"]
+    far = frame[(frame.metric == "pair_rms") & (frame.label == "random")].value
+    assert abs((far**2).mean() - 12) < 2.5  # 2 n: it knows nothing
     assert error["mle"] <= error["spectral"] * 1.02
     point = frame[frame.metric == "point_error"].groupby("label").value.mean()
     assert point["oracle"] < point["mle"] < point["identity"]
