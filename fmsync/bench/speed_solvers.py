@@ -94,9 +94,8 @@ def across_sizes(sizes: list[int]) -> None:
             (fmsync.expected_rms_error(n_nodes, problem.edges, 20, 0.1, problem.edges[:500]) ** 2).mean()
         )
         error = rms_error(estimate, truth) / expected  # of all edges, which the line of 500 stands for
-        print(
-            f"{n_nodes:<6} {problem.n_edges:<7} {taken.item():<8.2f} {peak:<10.2f} {estimate.n_iterations:<6} {error:.3f}"
-        )
+        row = f"{n_nodes:<6} {problem.n_edges:<7} {taken[0, 0]:<8.2f} {peak:<10.2f}"
+        print(f"{row} {estimate.n_iterations:<6} {error:.3f}")
         edges.append(problem.n_edges)
         seconds.append(taken.item())
     print(f"exponent in edges {np.polyfit(np.log(edges), np.log(seconds), 1)[0]:.2f}")
