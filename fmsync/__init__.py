@@ -29,6 +29,7 @@ _HOME = {  # public name -> the room it lives in
     "save_problem": "problem_io",
     "solve": "estimators",
     "solve_rectangular": "rectangular",
+    "synchronize_shapes": "pipeline",
 }
 _ROOMS = {
     "bounds",
@@ -37,6 +38,7 @@ _ROOMS = {
     "estimators",
     "langevin",
     "oracle",
+    "pipeline",
     "problem",
     "rectangular",
     "samplers",

@@ -1,0 +1,168 @@
+"""What the pipeline needs to know of one shape: a basis, evenly spread samples, and what tells left from right."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import potpourri3d as pp3d
+import robust_laplacian
+from scipy.spatial import cKDTree
+
+from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
+from fmsync.shape import Basis, Shape, laplace_beltrami
+
+_COARSE = 3000  # vertices of the mesh on which geodesic distances are computed
+_DESCRIPTOR_SIZES = (12, 12)  # times of the heat kernel signature, energies of the wave kernel signature
+
+
+@dataclass(frozen=True, eq=False)
+class SampledShape:
+    """A shape of unit area, reduced to what matching it takes.
+
+    Attributes
+    ----------
+    shape
+        Scaled to unit area.
+    basis
+        All basis functions, of which maps use the first few.
+    samples
+        (S,) vertices; any first few of them are spread evenly. Landmarks, if there are, come first.
+    geodesics
+        (S, S) geodesic distances between samples, in units of the square root of the area; symmetric.
+    descriptors
+        (V, K) functions of area-weighted norm 1 and mean 0.
+    orientation
+        (K, n, n) operators that change sign on the mirror image, or None for a point cloud.
+    n_landmarks
+        How many of the samples are landmarks.
+    """
+
+    shape: Shape
+    basis: Basis
+    samples: np.ndarray
+    geodesics: np.ndarray
+    descriptors: np.ndarray
+    orientation: np.ndarray | None
+    n_landmarks: int = 0
+
+    def sampled(self, size: int | None = None) -> np.ndarray:
+        """Basis functions at the first ``size`` samples, (size, n)."""
+        return self.basis.eigenfunctions[self.samples[:size]]
+
+
+def sample_shape(
+    shape: Shape, n_basis: int, n_samples: int, n_oriented: int = 20, landmarks: np.ndarray | None = None
+) -> SampledShape:
+    """Basis, samples, geodesics, descriptors and orientation operators of a shape of any scale.
+
+    Parameters
+    ----------
+    shape
+        Mesh or point cloud.
+    n_basis
+        Basis functions to compute.
+    n_samples
+        Samples S; all vertices where there are fewer.
+    n_oriented
+        Size n of the orientation operators.
+    landmarks
+        (L,) vertices that correspond across the collection, or None.
+    """
+    scale = np.sqrt(_area(shape))
+    shape = Shape(shape.vertices / scale, shape.faces, shape.name)
+    try:
+        basis = laplace_beltrami(shape.vertices, shape.faces, n_basis)
+    except ValueError as error:
+        raise ValueError(f"{shape.name}: {error}") from error
+    landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)
+    samples = farthest_points(shape.vertices, min(n_samples, shape.n_vertices), landmarks)
+    descriptors = _descriptors(basis, landmarks)
+    oriented = None if shape.faces is None else orientation_operators(shape, basis.truncated(n_oriented), descriptors)
+    return SampledShape(shape, basis, samples, geodesics_between(shape, samples), descriptors, oriented, len(landmarks))
+
+
+def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = None) -> np.ndarray:
+    """``size`` indices of points (V, 3), each as far as can be from those before it, straight-line.
+
+    Starts with ``first``, or with the point farthest from the middle.
+
+    Examples
+    --------
+    >>> farthest_points(np.array([[0.0, 0, 0], [1, 0, 0], [5, 0, 0]]), 2)
+    array([2, 0])
+    """
+    chosen = [] if first is None else [int(v) for v in first]
+    if not chosen:
+        chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())]
+    columns = np.ascontiguousarray(points.T)
+    nearest = np.full(len(points), np.inf)
+    for k in range(size):
+        if k >= len(chosen):
+            chosen.append(int(nearest.argmax()))
+        x, y, z = (column - column[chosen[k]] for column in columns)
+        np.minimum(nearest, x * x + y * y + z * z, out=nearest)
+    return np.array(chosen[:size])
+
+
+def geodesics_between(shape: Shape, samples: np.ndarray) -> np.ndarray:
+    """Geodesic distances (S, S) by the heat method (Crane et al. 2013) on a copy of at most 3000 vertices."""
+    vertices, faces = shape.vertices, shape.faces
+    if len(vertices) > _COARSE:
+        vertices, faces = _coarse(shape)
+    at = cKDTree(vertices).query(shape.vertices[samples])[1]
+    if faces is None:
+        solver = pp3d.PointCloudHeatSolver(vertices)
+    else:
+        solver = pp3d.MeshHeatMethodDistanceSolver(vertices, faces)
+    sources, where = np.unique(at, return_inverse=True)
+    distances = np.array([solver.compute_distance(int(source))[sources] for source in sources])
+    distances = np.maximum((distances + distances.T) / 2, 0)[np.ix_(where, where)]
+    np.fill_diagonal(distances, 0)
+    return distances
+
+
+def orientation_operators(shape: Shape, basis: Basis, functions: np.ndarray) -> np.ndarray:
+    r"""Operators :math:`g \mapsto \langle \nabla f \times \nabla g, \nu\rangle` in the basis, (K, n, n).
+
+    A map that keeps orientation commutes with them, one that turns left into right changes their sign (Ren et al.
+    2018). Both sides are divided by the square roots of the eigenvalues, which isometries keep as well: what is a
+    derivative in f and in g would otherwise be ruled by the highest frequencies.
+    """
+    faces = shape.faces
+    smooth = basis.eigenfunctions @ basis.coefficients(functions)  # (V, K)
+    corners = basis.eigenfunctions[faces]  # (F, 3, n)
+    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    middle = corners.mean(axis=1)
+    operators = []
+    for f in smooth.T:
+        u, v = f[faces[:, 1]] - f[faces[:, 0]], f[faces[:, 2]] - f[faces[:, 0]]
+        # the triple product is this over twice the area, its integral over the face half of it
+        operators.append(0.5 * middle.T @ (u[:, None] * across - v[:, None] * along))
+    roots = np.zeros(basis.n)
+    roots[1:] = basis.eigenvalues[1:] ** -0.5
+    return np.array(operators) * roots[:, None] * roots
+
+
+def _descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:
+    parts = [f(basis, size) for f, size in zip((heat_kernel_signature, wave_kernel_signature), _DESCRIPTOR_SIZES)]
+    if len(landmarks):
+        parts.append(heat_kernel(basis, landmarks, 4))
+    functions = np.hstack(parts)
+    functions = functions - basis.mass @ functions
+    return functions / np.sqrt(basis.mass @ functions**2)
+
+
+def _area(shape: Shape) -> float:
+    if shape.faces is not None:
+        return shape.area
+    neighbours = min(30, shape.n_vertices - 1)
+    return float(robust_laplacian.point_cloud_laplacian(shape.vertices, n_neighbors=neighbours)[1].sum())
+
+
+def _coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray | None]:
+    if shape.faces is None:
+        return shape.vertices[farthest_points(shape.vertices, _COARSE)], None
+    import pyvista as pv
+
+    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
+    mesh = mesh.decimate(1 - _COARSE / shape.n_vertices)
+    return np.asarray(mesh.points, dtype=float), mesh.regular_faces.astype(np.int64)
