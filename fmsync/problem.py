@@ -118,11 +118,12 @@ class SyncProblem:
     def connection(self) -> np.ndarray:
         """(N n, N n) symmetric block matrix of the observations, B_ij = w C_ij and B_ji its transpose."""
         n_nodes, n = self.n_nodes, self.n
-        blocks = np.zeros((n_nodes, n_nodes, n, n))
+        matrix = np.zeros((n_nodes, n, n_nodes, n))
+        blocks = matrix.transpose(0, 2, 1, 3)
         weighted = self.weights[:, None, None] * self.maps
         np.add.at(blocks, (self.edges[:, 0], self.edges[:, 1]), weighted)
         np.add.at(blocks, (self.edges[:, 1], self.edges[:, 0]), transpose(weighted))
-        return np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n_nodes * n, n_nodes * n))
+        return matrix.reshape(n_nodes * n, n_nodes * n)
 
     @cached_property
     def incidence(self) -> tuple[np.ndarray, ...]:
