@@ -67,7 +67,7 @@ def oracle(frame: pd.DataFrame) -> Figure:
 
 
 def error_against_seconds(board: pd.DataFrame, problems: int = 6) -> Figure:
-    """Error against seconds of every method, a panel for each of the first few problems, the floor as a line."""
+    """Error against CPU seconds of every method, a panel for each of the first few problems, the floor as a line."""
     kinds = [(problem, part) for problem, part in board.groupby("problem", sort=False) if part.error.notna().any()]
     kinds = kinds[:problems]
     rows = -(-len(kinds) // 2)
@@ -76,12 +76,12 @@ def error_against_seconds(board: pd.DataFrame, problems: int = 6) -> Figure:
     for axis in axes.flat[len(kinds) :]:
         axis.set_visible(False)
     for axis, (problem, part) in zip(axes.flat, kinds):
-        for row in part.dropna(subset=["error", "seconds"]).itertuples():
-            axis.plot(row.seconds, row.error, "o", color="C0", ms=4)
-            axis.annotate(row.label, (row.seconds, row.error), fontsize=6, xytext=(3, 2), textcoords="offset points")
+        for row in part.dropna(subset=["error", "cpu"]).itertuples():
+            axis.plot(row.cpu, row.error, "o", color="C0", ms=4)
+            axis.annotate(row.label, (row.cpu, row.error), fontsize=6, xytext=(3, 2), textcoords="offset points")
         if part.floor.notna().any():
             axis.axhline(part.floor.iloc[0], color="k", lw=1)
         axis.set_xscale("log")
         axis.set_title(problem.strip("{}").replace('"', ""), fontsize=6)
-        axis.set(xlabel="seconds", ylabel="Frobenius error")
+        axis.set(xlabel="CPU seconds", ylabel="Frobenius error")
     return figure

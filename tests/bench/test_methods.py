@@ -161,6 +161,15 @@ def test_files_that_add_nothing_or_take_a_name(tmp_path):
     (tmp_path / "empty_for_a_test.py").write_text("")
     with pytest.raises(ValueError, match="registers no method"):
         methods.load(tmp_path / "empty_for_a_test.py")
+    (tmp_path / "thief_for_a_test.py").write_text(
+        'from fmsync.bench.methods import method\n@method("oracle")\ndef f(problem, *, rng): ...\n'
+    )
+    kept = methods._REGISTRY["oracle"]
+    try:
+        with pytest.raises(ValueError, match="'oracle' is taken by fmsync.bench.methods.oracle"):
+            methods.load(tmp_path / "thief_for_a_test.py")
+    finally:
+        methods._REGISTRY["oracle"] = kept
 
 
 def test_relative_maps_of_absolute(planted):

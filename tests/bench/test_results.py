@@ -7,7 +7,9 @@ import pytest
 from fmsync.bench import figures, report, results
 
 
-def record(label="mle", seed=0, status="ok", problem=None, metrics=(("edge_error", None, 1.0), ("seconds", None, 0.1))):
+def record(
+    label="mle", seed=0, status="ok", problem=None, metrics=(("edge_error", None, 1.0), ("cpu_seconds", None, 0.1))
+):
     return {
         "generator": "g:f",
         "problem": problem or {"n_nodes": 4, "n": 20, "sigma2": 0.2},
@@ -27,7 +29,7 @@ def record(label="mle", seed=0, status="ok", problem=None, metrics=(("edge_error
 def frame(errors, label="mle", suite="s", **problem):
     kind = {"n_nodes": 4, "n": 20, "sigma2": 0.2, **problem}
     rows = [
-        record(label, seed, problem=kind, metrics=(("edge_error", None, error), ("seconds", None, 0.1)))
+        record(label, seed, problem=kind, metrics=(("edge_error", None, error), ("cpu_seconds", None, 0.1)))
         for seed, error in enumerate(errors)
     ]
     return results.to_frame(suite, rows)
@@ -156,6 +158,8 @@ def test_scoreboard_ranks_and_counts_failures():
     assert board.label.tolist() == ["good", "bad", "none"]
     assert board.error.tolist()[:2] == [1.5, 3.5]
     assert board.failed.tolist() == [0, 0, 1]
+    drawn = figures.error_against_seconds(board).axes[0]
+    assert [tuple(line.get_data()) for line in drawn.lines] == [([0.1], [1.5]), ([0.1], [3.5])]
 
 
 def test_figures_show_the_tables(paper, tmp_path):

@@ -167,22 +167,23 @@ def load(file: str | Path) -> list[str]:
     if not path.is_file():
         raise ValueError(f"{file}: there is no such file")
     module_name = f"fmsync_bench_file_{path.stem}"
-    before = dict(_all_functions())
     if getattr(sys.modules.get(module_name), "__file__", None) != str(path):
+        names()
+        before = dict(_all_functions())
         spec = importlib.util.spec_from_file_location(module_name, path)
         module = importlib.util.module_from_spec(spec)
         sys.modules[module_name] = module
         spec.loader.exec_module(module)
+        replaced = [name for name, function in before.items() if _all_functions()[name] is not function]
+        if replaced:
+            home = before[replaced[0]].__module__
+            raise ValueError(f"{file}: the name {replaced[0]!r} is taken by {home}; choose another")
     added = [name for name, function in _all_functions().items() if function.__module__ == module_name]
     if not added:
         raise ValueError(f'{file}: registers no method; decorate a function with @method("name")')
-    taken = [name for name in added if name in before and before[name].__module__ != module_name]
-    if taken:
-        raise ValueError(f"{file}: the name {taken[0]!r} is taken by {before[taken[0]].__module__}; choose another")
     return added
 
 
 def _all_functions() -> dict[str, Callable]:
-    names()
     own = {name: entry.function for name, entry in _REGISTRY.items()}
     return {**estimators._REGISTRY, **samplers._REGISTRY, **own}
