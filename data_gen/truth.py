@@ -12,6 +12,7 @@ import networkx as nx
 import numpy as np
 
 from data_gen.collections import require_common_order
+from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
 from fmsync import functional_map, laplace_beltrami, so
 from fmsync.problem import relative_maps
@@ -134,6 +135,7 @@ def ground_truth(
     provenance = {
         "protocol": "ground truth of shapes",
         "shapes": [shape.name for shape in shapes],
+        "positions": [fingerprint(shape)["positions"][:16] for shape in shapes],
         "n_vertices": [len(shape.vertices) for shape in shapes],
         "n_basis": int(n_basis),
         "tree": tree,

@@ -54,6 +54,8 @@ def test_shapes_give_rotations_in_the_gauge_of_the_first(truth):
         np.testing.assert_allclose(np.linalg.det(maps), 1)
     assert cycle_error(4, truth.edges, truth.maps).max() < 1e-10
     assert truth.provenance["tree"] == "depth-first"
+    assert truth.provenance["shapes"] == ["cat0", "cat1", "cat2", "cat3"]
+    assert len(set(truth.provenance["positions"])) == 4  # digests: which meshes, not only which names
     assert len(truth.bases) == 4
 
 
