@@ -55,7 +55,7 @@ def oracle(frame: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axis = figure.subplots()
     rows = frame[(frame.metric == "accuracy_at_draws") & (frame.n_nodes == 4) & frame.density.fillna(1.0).eq(1.0)]
-    rows = rows[rows.two_way.map(lambda value: value is not True)]
+    rows = rows[~rows.two_way.eq(True)]
     for label, style in (("MC (2)", "-"), ("haar-baseline", ":")):
         for sigma2, part in rows[rows.label == label].groupby("sigma2"):
             mean = part.groupby("at")["value"].mean()

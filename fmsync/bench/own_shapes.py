@@ -179,7 +179,6 @@ def pyfm_stages(synced: SyncedShapes, judge: Judge, pairs, n: int = 20) -> tuple
             network.set_maps({(j, i): c.copy() for (i, j), c in start.items()})
             network.set_subsample(samples)
             network.M = n
-            network.compute_p2p(complete=False)
             for _ in range((size - n) // 5):
                 network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + 5, weight_type="icsm")
             seconds[f"pyFM Consistent ZoomOut from {name}"] = time.perf_counter() - began

@@ -52,9 +52,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     table = results.summarise(chosen[chosen.label.isin(labels)], ["label", "density", "sigma2"], "edge_error")
     table = table.merge(paper_table(), how="left", on=["label", "density", "sigma2"])
     table["agrees"] = (table.low <= table.paper) & (table.paper <= table.high)
-    lines = chosen[chosen.metric.isin(["floor_rms", "expected_rms"])]
-    lines = lines.pivot_table(index=["density", "sigma2"], columns="metric", values="value").reset_index()
-    table = table.merge(lines.rename(columns={"floor_rms": "floor", "expected_rms": "expected"}), how="left")
+    for name in ("floor", "expected"):
+        lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
+        table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
     threshold = recovery_threshold(n_nodes, int(chosen.n.iloc[0]), 2 if two_way else 1)
     table["recoverable"] = table.sigma2 < threshold
     table["label"] = pd.Categorical(table.label, labels, ordered=True)
@@ -64,10 +64,8 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
 def readings(frame: pd.DataFrame) -> list[dict]:
     """The readings of the protocol for which there are results, as arguments of :func:`table1`."""
     rows = frame[frame.label.isin(["MLE (1)", "MLE (2)"])][["n_nodes", "two_way", "around"]].drop_duplicates()
-    found = [
-        {"n_nodes": int(n), "two_way": bool(t is True), "around": a or "consistent"}
-        for n, t, a in rows.itertuples(index=False)
-    ]
+    rows = rows.assign(two_way=rows.two_way.eq(True), around=rows.around.fillna("consistent"))  # absent: the default
+    found = [{"n_nodes": int(n), "two_way": bool(t), "around": a} for n, t, a in rows.itertuples(index=False)]
     return [dict(reading) for reading in dict.fromkeys(tuple(reading.items()) for reading in found)]
 
 
@@ -121,9 +119,10 @@ def report(frame: pd.DataFrame) -> str:
 
 
 def _reading(frame: pd.DataFrame, n_nodes: int, two_way: bool, around: str) -> pd.DataFrame:
-    both = frame.two_way.map(lambda value: value is True)  # absent means no
-    where = frame.around.map(lambda value: value or "consistent")
-    chosen = frame[(frame.n_nodes == n_nodes) & (both == two_way) & (where == around) & frame.density.notna()]
+    where = frame.around.fillna("consistent")
+    chosen = frame[
+        (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & (where == around) & frame.density.notna()
+    ]
     if chosen.empty:
         reading = f"n_nodes={n_nodes}, two_way={two_way}, around={around!r}"
         raise ValueError(f"no results for {reading}; make them with 'fmsync bench run paper'")

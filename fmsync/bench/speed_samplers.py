@@ -1,7 +1,7 @@
 """How fast the samplers are: milliseconds of a step, and independent draws a second.
 
-``python -m fmsync.bench.speed_samplers`` prints the tables. Step times are minima over repeats on one BLAS thread,
-draws are counted against CPU seconds; on a busy machine trust the ratios.
+``python -m fmsync.bench.speed_samplers`` prints the tables. Times are CPU seconds on one BLAS thread, minima over
+repeats for steps; on a busy machine trust the ratios.
 """
 
 import time
@@ -33,15 +33,15 @@ def complete_problem(n_nodes: int = 11, n: int = 20, sigma2: float = 0.2, rng: i
 def milliseconds(function: Callable[[], object], budget: float = 0.5, repeats: int = 5) -> float:
     """Shortest mean time of a call over ``repeats`` rounds of ``budget / repeats`` seconds each."""
     function()  # compiles, fills caches
-    start = time.perf_counter()
+    start = time.process_time()
     function()
-    count = max(1, int(budget / repeats / max(time.perf_counter() - start, 1e-6)))
+    count = max(1, int(budget / repeats / max(time.process_time() - start, 1e-6)))
     best = np.inf
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         for _ in range(count):
             function()
-        best = min(best, (time.perf_counter() - start) / count)
+        best = min(best, (time.process_time() - start) / count)
     return 1e3 * best
 
 
