@@ -70,7 +70,7 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
             began, cpu = time.perf_counter(), time.thread_time()
             with _limited(cell.seconds, cell.memory):
                 answer = method.run(problem, method_rng(cell.seed), cell.options)
-            spent = (time.perf_counter() - began, time.thread_time() - cpu, _peak() - before)
+            spent = (time.perf_counter() - began, time.thread_time() - cpu, max(0.0, _peak() - before))
         rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
         record["metrics"] = [[name, None, float(value)] for name, value in rows] + measure(problem, answer)
         record["warnings"] = sorted({str(warning.message) for warning in caught})
