@@ -119,7 +119,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict]:
         "synchronised": judge.mean(pairs, plain),
         "robustly synchronised": judge.mean(pairs, robust),
         "robustly synchronised, upsampled": judge.mean(pairs, upsampled(robust)),
-        "pipeline (proposals, robust at the refined size)": judge.mean(pairs, synced.functional_map),
+        "pipeline (upsampled together)": judge.mean(pairs, synced.functional_map),
         "pipeline at n basis functions": judge.mean(pairs, relative_of(synced)),
     }
     return errors, seconds
@@ -156,7 +156,7 @@ def pyfm_stages(synced: SyncedShapes, judge: Judge, pairs, n: int = 20) -> tuple
             model = FunctionalMapping(meshes[j], meshes[i])
             model.add_descriptors(synced.shapes[j].descriptors, synced.shapes[i].descriptors)
             model.fit(K=(n, n))  # its own default weights
-            fitted[i, j] = model.FM
+            fitted[i, j] = model.FM_12
         middle = time.perf_counter()
         from pyFM.refine.zoomout import zoomout_refine
 
@@ -271,7 +271,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--no-peers", action="store_true")
     options = parser.parse_args(arguments)
     folders = [f for f in (options.folder, options.other) if f]
-    results = {Path(f).name: measure(f, peers=not options.no_peers) for f in folders}
+    results = {Path(f).name: measure(f, peers=not options.no_peers and f == options.folder) for f in folders}
     recalibrations = {name: recalibrate(r) for name, r in results.items()}
     table = {"command": "python -m fmsync.bench.own_shapes " + " ".join(Path(f).name for f in folders)}
     table |= {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "collections": {}}

@@ -20,13 +20,14 @@ from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate
 from fmsync.functional_map import _nearest
 from fmsync.pipeline.confidence import Confidence, confidence
-from fmsync.pipeline.pairwise import PairMatch, improve, match, zoomout
+from fmsync.pipeline.pairwise import PairMatch, improve, match
 from fmsync.pipeline.samples import SampledShape, sample_shape
 from fmsync.pipeline.signs import rotation_signs
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Shape
 
+_STEP, _SETTLE = 5, 3  # functions a step of the last refinement, and steps at its final size
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _STRANGER = 0.25  # mean change of log eigenvalues from the median shape
@@ -209,7 +210,7 @@ def synchronize_shapes(
     posterior = None
     if n_draws:
         posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng)
-    refined = _refine(sampled, edges, matches, min(n_refined, min(s.basis.n for s in sampled)), rng)
+    refined = _refine(sampled, edges, estimate.absolute * _turns(signs, n_basis)[:, None], n_refined, rng)
     return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
 
 
@@ -344,15 +345,23 @@ def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng) -> Post
     )
 
 
-def _refine(shapes, edges, matches, size, rng) -> np.ndarray:
-    """Absolute maps (N, m, m): robust synchronisation in O(m), which needs no signs."""
-    full = min(size, min(len(m.c_ij) for m in matches))
-    maps = np.array([m.c_ij[:full, :full] for m in matches])
-    u, _, vt = np.linalg.svd(maps)
-    absolute = _solved(SyncProblem(len(shapes), edges, u @ vt), rng, group="O").absolute
-    if full == size:
-        return absolute
-    with single_threaded_blas():  # larger than the pairs went: upsample the maps to the first shape
-        to_first = [zoomout(shapes[0], s, (absolute[0].T @ c)[None], size, 4)[0][0] for s, c in zip(shapes, absolute)]
-    u, _, vt = np.linalg.svd(np.array(to_first))
-    return u @ vt
+def _refine(shapes, edges, absolute: np.ndarray, size: int, rng) -> np.ndarray:
+    """Absolute maps (N, k, k) upsampled to (N, m, m): every pair by a step of ZoomOut, then all of them together.
+
+    Together they stay consistent, and the errors of a pair do not grow (Huang et al. 2020). O(k) needs no signs.
+    """
+    k = absolute.shape[-1]
+    sizes = [*range(k + _STEP, size, _STEP), *[size] * _SETTLE]
+    for larger in sizes:
+        with single_threaded_blas():
+            maps = np.array([_step(shapes[i], shapes[j], absolute[i].T @ absolute[j], larger) for i, j in edges])
+        u, _, vt = np.linalg.svd(maps)
+        absolute = fmsync.solve(SyncProblem(len(shapes), edges, u @ vt), "spectral", group="O", rng=rng).absolute
+    return absolute
+
+
+def _step(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int) -> np.ndarray:
+    """Point map of the samples, and the functional map (size, size) of that point map."""
+    k = len(c_ij)
+    images = _nearest(first.sampled()[:, :k] @ c_ij, second.sampled()[:, :k])
+    return np.linalg.pinv(first.sampled()[:, :size]) @ second.sampled()[images, :size]
