@@ -8,8 +8,8 @@ is linear in each map: the heat bath applies. Given the maps, with A the symmetr
 
 .. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
 
-drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws,
-eigenvalues by slices.
+drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws, one
+half of them in turn, and eigenvalues by slices. The maps mix more slowly than the stretches: half is enough.
 """
 
 import numba
@@ -40,22 +40,32 @@ class Stretches:
         self._values[..., -1] *= np.sign(np.linalg.det(noise))
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._maps = np.empty((n_edges, n, n))
-        self._ones = np.ones(n_edges)
+        self._ones, self._age = np.ones(n_edges), 0
 
     def step(self, x: np.ndarray, states: np.ndarray, levels: bool) -> None:
         """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
         p = self._problem
         start, edge, _, forward = p.incidence
+        self._age += 1
         for k in range(len(x)):
             self.sigma2[k] = stretch_step(
-                x[k], p.edges, p.maps, self._vectors[k], self._values[k], self.sigma2[k], levels, self._maps, states[k]
+                x[k],
+                p.edges,
+                p.maps,
+                self._vectors[k],
+                self._values[k],
+                self.sigma2[k],
+                levels,
+                self._age % 2,
+                self._maps,
+                states[k],
             )
             node_blocks(self._maps, self._ones, start, edge, forward, self.blocks[k])
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, state):
-    """All edges of one chain in place; the observations C P go to ``stretched`` (E, n, n). Returns σ²."""
+def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretched, state):
+    """All edges of one chain in place, planes of one ``parity`` (0 or 1); the observations C P go to ``stretched`` (E, n, n). Returns σ²."""
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
@@ -73,7 +83,7 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, sta
             for b in range(n):
                 rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
                 diagonal[a] += vectors[e, a, b] * product[a, b]
-        rotate_eigenvectors(rows, diagonal, values[e], sigma2, state)
+        rotate_eigenvectors(rows, diagonal, values[e], sigma2, parity, state)
         draw_eigenvalues(values[e], diagonal, sigma2, state)
         for a in range(n):
             quadratic += values[e, a] * values[e, a]
@@ -94,8 +104,8 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, stretched, sta
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def rotate_eigenvectors(rows, diagonal, values, sigma2, state):
-    r"""Gibbs draws of all planes of eigenvectors: rows (n, 2n) hold V and V A side by side, rotated together.
+def rotate_eigenvectors(rows, diagonal, values, sigma2, parity, state):
+    r"""Gibbs draws of every other plane of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
 
     With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
     is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`.
@@ -103,7 +113,7 @@ def rotate_eigenvectors(rows, diagonal, values, sigma2, state):
     n = len(values)
     for a in range(n - 1):
         p = rows[a]
-        for b in range(a + 1, n):
+        for b in range(a + 1 + parity, n, 2):
             q = rows[b]
             between = 0.0
             for r in range(n):
