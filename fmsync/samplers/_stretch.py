@@ -48,24 +48,17 @@ class Stretches:
         start, edge, _, forward = p.incidence
         self._age += 1
         for k in range(len(x)):
-            self.sigma2[k] = stretch_step(
-                x[k],
-                p.edges,
-                p.maps,
-                self._vectors[k],
-                self._values[k],
-                self.sigma2[k],
-                levels,
-                self._age % 2,
-                self._maps,
-                states[k],
-            )
+            chain = (self._vectors[k], self._values[k], self.sigma2[k])
+            self.sigma2[k] = stretch_step(x[k], p.edges, p.maps, *chain, levels, self._age % 2, self._maps, states[k])
             node_blocks(self._maps, self._ones, start, edge, forward, self.blocks[k])
 
 
 @numba.njit(cache=True, nogil=True)
 def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretched, state):
-    """All edges of one chain in place, planes of one ``parity`` (0 or 1); the observations C P go to ``stretched`` (E, n, n). Returns σ²."""
+    """All edges of one chain in place, planes of one ``parity`` (0 or 1); C P goes to ``stretched`` (E, n, n).
+
+    Returns σ².
+    """
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
