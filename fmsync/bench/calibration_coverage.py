@@ -25,6 +25,13 @@ NOMINAL = (0.5, 0.8, 0.9, 0.95)
 _MAKER = "data_gen.bench_problems:rotations"  # named, not imported: the library does not know where problems come from
 _N_NODES, _N, _DRAWS = 11, 20, 300
 _WRONG_EVERY = 4
+_THINNING = {  # sweeps between draws, so that 200 of them are effective; 2 elsewhere
+    ("langevin", 8.0, "langevin"): 3,
+    ("projected-gaussian", 0.1, "projected-gaussian"): 3,
+    ("projected-gaussian", 0.2, "projected-gaussian"): 6,
+    ("projected-gaussian", None, "beta = 1"): 6,
+    ("projected-gaussian", 0.2, "langevin"): 3,
+}
 _FIELDS = [
     *("noise", "level", "model", "problem", "cpu_seconds", "ess", "level_found"),
     *("error_mean", "error_unprojected", "error_mle", "energy_score"),
@@ -53,7 +60,7 @@ def one(noise: str, level: float, model: str, problem: int) -> dict[str, object]
         "beta = 1": {"beta": 1.0},
         "projected-gaussian": {"likelihood": "projected-gaussian"},
     }[model]
-    thin = 3 if model == "projected-gaussian" and level >= 0.1 else 2
+    thin = _THINNING.get((noise, level, model), _THINNING.get((noise, None, model), 2))
     mle = fmsync.solve(p, "mle", rng=problem)
     post = fmsync.sample(
         p, "heat-bath", n_chains=1, n_draws=_DRAWS, warmup=250, thin=thin, rng=problem, init=mle, **chosen
