@@ -39,7 +39,7 @@ def test_everything_is_written(folder, tmp_path):
     header, _, body = (out / "meshes" / "cat2.ply").read_bytes().partition(b"end_header\n")
     assert b"property float quality" in header
     rows = np.frombuffer(body, dtype="<f4", count=5 * 1000).reshape(1000, 5)  # x, y, z, quality, spread
-    np.testing.assert_array_equal(rows[:, :3], vtp.points)
+    np.testing.assert_allclose(rows[:, :3], vtp.points, rtol=1e-6)
     np.testing.assert_array_equal(rows[:, 3], vtp["radius"])
     assert len(read_mesh(out / "meshes" / "cat2.ply").faces) == vtp.n_cells
     with np.load(out / "maps.npz") as maps:
