@@ -33,6 +33,7 @@ _HOME = {  # public name -> the room it lives in
 }
 _ROOMS = {
     "bounds",
+    "calibration",
     "certificate",
     "diagnostics",
     "estimators",
