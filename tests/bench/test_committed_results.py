@@ -22,7 +22,7 @@ def again(row):
 @pytest.mark.slow
 @pytest.mark.parametrize("k", range(10))
 def test_ten_random_cells_agree(k):
-    """To a thousandth where the method and its randomness are unchanged since; a sampler that draws other numbers now is
+    """To a thousandth where the method and its randomness are unchanged; a sampler that draws other numbers now is
     one more draw, within three standard deviations of the seeds and two per cent.
     """
     rng = np.random.default_rng([k, 2026])
