@@ -76,6 +76,7 @@ class RLFM:
         self._held = problem.n_nodes if prior is not None else None
         if not constrained and prior is None:
             start, self._held = energies.fix_gauge(start), 0
+            start[:, 0] = np.eye(problem.n)  # without the rounding
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
         self._sums = None  # neighbour sums of the present state, if known
         self._rng, self._age = rng, 0
