@@ -230,7 +230,7 @@ def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.random.Generator = 0) -> np.ndarray:
-    """Haar-uniform rotations ``(*size, n, n)``: the sign-adjusted Q of a Gaussian matrix, one column flipped if det < 0.
+    """Haar-uniform rotations ``(*size, n, n)``: the sign-adjusted Q of a Gaussian, one column flipped if det < 0.
 
     Examples
     --------

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from tests.surfaces import icosphere, potato, relabelled, rotation
 
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.shape import Basis, laplace_beltrami
+from tests.surfaces import icosphere, potato, relabelled, rotation
 
 SIGNATURES = [heat_kernel_signature, wave_kernel_signature]
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from tests.surfaces import icosphere, potato, relabelled, rotation
 
 from fmsync import so
 from fmsync.descriptors import heat_kernel_signature, wave_kernel_signature
 from fmsync.functional_map import functional_map, functional_map_from_descriptors, point_map
 from fmsync.shape import Basis, laplace_beltrami
+from tests.surfaces import icosphere, potato, relabelled, rotation
 
 
 @pytest.fixture(scope="module")

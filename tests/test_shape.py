@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import robust_laplacian
 from scipy.linalg import eigh
-from tests.surfaces import icosphere, potato, relabelled
 
 from fmsync.shape import Basis, Shape, _cotangent_laplacian, laplace_beltrami
+from tests.surfaces import icosphere, potato, relabelled
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0.0]])
 TWO_FACES = np.array([[0, 1, 2], [0, 2, 3]])
