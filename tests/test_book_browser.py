@@ -109,6 +109,7 @@ def test_page_reads_well_at_both_widths_and_themes(opened, name):
         assert _contrast(ink, paper) > 4.5, f"{theme}: text {ink} on {paper}"
     assert page.locator("span.math, div.math").count() == page.locator(".math mjx-container > svg").count()
     assert page.locator("mjx-container [data-mml-node='merror']").count() == 0
+    assert page.locator("mjx-container [fill='red']").count() == 0  # how an unknown macro is drawn
     for image in page.evaluate(_IMAGES):
         assert image["alt"].strip(), f"no alt text: {image['src'][:80]}"
         assert image["width"] > 0, f"not loaded: {image['src'][:80]}"
