@@ -44,8 +44,8 @@ def test_the_default_collection_is_the_cats_in_natural_order(cats):
 def test_sign_trap(bases, truth):
     """Mean 3-cycle error at n = 20: raw 1.03, projected edge by edge 1.59, signs fixed first 0.33.
 
-    The middle number depends on the signs that the eigensolver happened to choose (here 1.55): it is averaged over
-    random ones, which gives 1.47 with a spread of 0.2, and compared with the other two.
+    The middle number depends on the signs that the eigensolver happened to choose: it is averaged over random ones
+    and compared with the other two.
     """
     both_ways = np.array([(i, j) for i in range(11) for j in range(11) if i != j])
 
