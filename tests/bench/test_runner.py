@@ -175,6 +175,7 @@ def test_sigkill_loses_and_repeats_no_finished_cell(tmp_path, after):
     assert max(times.values()) <= 2
 
 
+@pytest.mark.slow  # it times: not a matter for a busy machine
 def test_overhead_of_short_cells(tmp_path):
     """Wall time of cells of 50 ms, one process, start-up taken off by a difference."""
     log, spent = tmp_path / "log", {}
