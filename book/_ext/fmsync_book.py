@@ -79,6 +79,8 @@ def _copy_assets(app):
 
 def _finish_page(app, pagename, templatename, context, doctree):
     _drop_thebe(context)
+    for role in (' role="list"', ' role="doc-biblioentry"'):  # a list may hold items only; these hold links as well
+        context["body"] = context.get("body", "").replace(role, "")
     name = pagename.rsplit("/", 1)[-1]
     if (ROOT / "book" / "notebooks" / f"{name}.ipynb").exists() and "</h1>" in context.get("body", ""):
         href = context["pathto"](f"notebooks/{name}.ipynb", resource=True)

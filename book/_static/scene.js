@@ -39,3 +39,14 @@
     document.querySelectorAll(".fm-stage:has(> script)").forEach((stage) => near.observe(stage));
   });
 })();
+
+// Paper is white: print the light theme, then go back.
+(() => {
+  const root = document.documentElement;
+  let theme;
+  addEventListener("beforeprint", () => {
+    theme = root.dataset.theme;
+    root.dataset.theme = "light";
+  });
+  addEventListener("afterprint", () => (root.dataset.theme = theme));
+})();
