@@ -6,6 +6,7 @@ import importlib
 import multiprocessing
 import os
 import platform
+import queue
 import re
 import resource
 import sys
@@ -27,6 +28,7 @@ from fmsync.bench.planted import Planted
 from fmsync.bench.suites import Cell, generator_function
 from fmsync.problem import SyncProblem
 
+CONTENT = ("generator", "problem", "seed", "method", "options", "code", "data")  # what determines a record
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
 _STATUS = Path("/proc/self/status")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
@@ -47,7 +49,7 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
         (name, at, value), seconds, CPU seconds, peak memory in MB above the process's own, machine, versions, commit.
     """
     record: dict = {
-        **{name: cell.content[name] for name in ("generator", "problem", "seed", "method", "options", "code")},
+        **{name: cell.content[name] for name in CONTENT},
         "label": cell.label,
         "commit": commit,
         "machine": machine(),
@@ -64,15 +66,16 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
         method = methods.get(cell.method)
         with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
             warnings.simplefilter("always")
-            problem = _problem(cell.generator, _frozen(cell.problem), cell.seed)
+            problem = _problem(cell.generator, _frozen(cell.problem), cell.seed, cell.content["data"])
             _warm(method, cell.options)
             before = _reset_peak()
             began, cpu = time.perf_counter(), time.thread_time()
             with _limited(cell.seconds, cell.memory):
                 answer = method.run(problem, method_rng(cell.seed), cell.options)
             spent = (time.perf_counter() - began, time.thread_time() - cpu, max(0.0, _peak() - before))
+            measured = measure(problem, answer)
         rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
-        record["metrics"] = [[name, None, float(value)] for name, value in rows] + measure(problem, answer)
+        record["metrics"] = [[name, None, float(value)] for name, value in rows] + measured
         record["warnings"] = sorted({str(warning.message) for warning in caught})
     except CellTimeoutError:
         record |= {"status": "timeout", "traceback": f"more than {cell.seconds:g} s"}
@@ -85,7 +88,8 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
 
 
 @lru_cache(maxsize=2)
-def _problem(generator: str, problem: tuple, seed: int) -> Planted:
+def _problem(generator: str, problem: tuple, seed: int, data: str) -> Planted:
+    """Kept, since all methods meet it; ``data``, which the generator reads by itself, tells changed files apart."""
     return generator_function(generator)(seed=seed, **dict(problem))
 
 
@@ -112,26 +116,48 @@ def _warm(method: methods.Method, options) -> None:
 @contextlib.contextmanager
 def _limited(seconds: float, memory: float) -> Iterator[None]:
     """Throw into this thread after some seconds; let no allocation take more than some MB."""
-    thread, finished, lock = threading.get_ident(), threading.Event(), threading.Lock()
+    with _watcher().watching(seconds), _address_space(memory):
+        yield
 
-    def watch():
-        if finished.wait(seconds):
-            return
-        with lock:
-            if finished.is_set():
-                return
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(CellTimeoutError))
-        if not finished.wait(_GRACE) and multiprocessing.parent_process() is not None:
-            os._exit(1)  # a compiled call that never comes back: the runner notes a crash
 
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        with _address_space(memory):
+class _Watcher:
+    """A thread beside another one, whose limits it keeps cell after cell: to start one for every cell takes longer."""
+
+    def __init__(self):
+        self._watched, self._limits = threading.get_ident(), queue.SimpleQueue()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    @contextlib.contextmanager
+    def watching(self, seconds: float) -> Iterator[None]:
+        finished, lock = threading.Event(), threading.Lock()
+        self._limits.put((seconds, finished, lock))
+        try:
             yield
-    finally:
-        with lock:
-            finished.set()
+        finally:
+            with lock:
+                finished.set()
+
+    def _watch(self) -> None:
+        while True:
+            seconds, finished, lock = self._limits.get()
+            if finished.wait(seconds):
+                continue
+            with lock:
+                if finished.is_set():
+                    continue
+                throw = ctypes.pythonapi.PyThreadState_SetAsyncExc
+                throw(ctypes.c_ulong(self._watched), ctypes.py_object(CellTimeoutError))
+            if not finished.wait(_GRACE) and multiprocessing.parent_process() is not None:
+                os._exit(1)  # a compiled call that never comes back: the runner notes a crash
+
+
+_WATCHERS = threading.local()
+
+
+def _watcher() -> _Watcher:
+    if not hasattr(_WATCHERS, "own"):
+        _WATCHERS.own = _Watcher()
+    return _WATCHERS.own
 
 
 @contextlib.contextmanager

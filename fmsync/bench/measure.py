@@ -30,21 +30,23 @@ def measure(planted: Planted, answer) -> list[list]:
     edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
     pairs = planted.pairs()
     edges = edges if len(edges) <= len(pairs) else edges[metrics.thinned(len(edges), len(pairs))]
+    on_edges = answer.relative(edges)
+    on_pairs = on_edges if np.array_equal(edges, pairs) else answer.relative(pairs)  # complete graphs have no others
     found: list[tuple[str, float | None, float]] = []
-    for name, which in (("edge", edges), ("pair", pairs)):
-        errors = metrics.frobenius_errors(answer.relative(which), planted.relative(which))
+    for name, which, maps in (("edge", edges, on_edges), ("pair", pairs, on_pairs)):
+        errors = metrics.frobenius_errors(maps, planted.relative(which))
         if np.isfinite(errors).all():
             found += [(f"{name}_error", None, errors.mean()), (f"{name}_rms", None, metrics.root_mean_square(errors))]
-    cycles = cycle_error(planted.problem.n_nodes, edges, answer.relative(edges))
+    cycles = cycle_error(planted.problem.n_nodes, edges, on_edges)
     if len(cycles):
         found.append(("cycle_error", None, cycles.mean()))
     if answer.draws is not None:
         found += _measure_draws(planted, answer.draws, edges)
     if planted.bases and planted.distances:
-        found += _measure_points(planted, answer, pairs)
+        found += _measure_points(planted, pairs, on_pairs)
     for step, relative in answer.path:
         found.append(("error_at_step", step, metrics.frobenius_errors(relative(edges), planted.relative(edges)).mean()))
-    found += [(name, None, value) for name, value in {**answer.numbers, **planted.references}.items()]
+    found += [(name, None, value) for name, value in {**answer.numbers(), **planted.references}.items()]
     return [[name, None if at is None else float(at), float(value)] for name, at, value in found]
 
 
@@ -65,10 +67,10 @@ def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> It
         yield "accuracy_at_draws", count, value
 
 
-def _measure_points(planted: Planted, answer, pairs: np.ndarray) -> Iterator:
+def _measure_points(planted: Planted, pairs: np.ndarray, maps: np.ndarray) -> Iterator:
     errors = []
-    for (i, j), c in zip(pairs, answer.relative(pairs)):
-        sent = point_map(c, planted.bases[i], planted.bases[j])
+    for (i, j), c in zip(pairs, maps):
+        sent = point_map(c, planted.bases[i], planted.bases[j], planted.scored)
         errors.append(metrics.point_errors(sent, planted.distances[j]))
     errors = np.concatenate(errors)
     yield "point_error", None, errors.mean()

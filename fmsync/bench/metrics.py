@@ -151,14 +151,14 @@ def calibration_error(coverage: np.ndarray, levels: tuple[float, ...] = LEVELS) 
 
 
 def point_errors(point_map: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """Geodesic distance (V,) from where every vertex was sent to where it belongs, vertex v to vertex v.
+    """Geodesic distance (P,) of where some vertices were sent from where they belong.
 
     Parameters
     ----------
     point_map
-        (V,) vertices of the other shape.
+        (P,) vertices of the other shape.
     distances
-        (V, V) between the vertices of the other shape.
+        (P, V) on the other shape, from where they belong to all of its vertices.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def point_errors(point_map: np.ndarray, distances: np.ndarray) -> np.ndarray:
     >>> point_errors(np.array([0, 0]), np.array([[0.0, 0.3], [0.3, 0.0]]))
     array([0. , 0.3])
     """
-    return distances[point_map, np.arange(len(point_map))]
+    return distances[np.arange(len(point_map)), point_map]
 
 
 def cumulative_curve(errors: np.ndarray, thresholds: np.ndarray) -> np.ndarray:

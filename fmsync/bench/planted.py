@@ -25,15 +25,18 @@ class Planted:
         Numbers to draw beside the measured ones, by metric name: error floor, expected line.
     bases
         The N bases of the shapes, where point maps are to be scored; else ().
+    scored
+        (P,) vertices whose images are scored, the same on every shape.
     distances
-        (V, V) geodesic distances between the vertices of each shape, in units of the square root of its area, for
-        scoring point maps; same length as ``bases``.
+        (P, V) geodesic distances of each shape from its scored vertices to all of its vertices, in units of the square
+        root of its area; same length as ``bases``.
     """
 
     problem: SyncProblem
     truth: np.ndarray
     references: Mapping[str, float] = field(default_factory=dict)
     bases: tuple[Basis, ...] = ()
+    scored: np.ndarray | None = None
     distances: tuple[np.ndarray, ...] = ()
 
     def relative(self, pairs: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.process_executor import BrokenProcessPool as LokyBroken
 
-from fmsync.bench.cell import run_cell
+from fmsync.bench.cell import CONTENT, run_cell
 from fmsync.bench.store import CorruptCellError, Store
 from fmsync.bench.suites import Cell
 
@@ -225,7 +225,7 @@ class _Dask:
 
 def crashed(cell: Cell, commit: str, error: BaseException) -> dict:
     """Record of a cell that took its process with it."""
-    content = {name: cell.content[name] for name in ("generator", "problem", "seed", "method", "options", "code")}
+    content = {name: cell.content[name] for name in CONTENT}
     return {
         **content,
         "label": cell.label,

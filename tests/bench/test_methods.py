@@ -184,7 +184,7 @@ def test_relative_maps_of_absolute(planted):
 def on_shapes():
     from data_gen.bench_problems import shapes
 
-    return shapes(seed=0, n_nodes=4, n=14, n_vertices=1000, sigma2=0.01, around="measured", points=True)
+    return shapes(seed=0, n_nodes=4, n=14, n_vertices=1000, sigma2=0.01, around="measured", points=100)
 
 
 def test_consistent_zoomout_refines_and_needs_shapes(on_shapes, planted):

@@ -2,7 +2,9 @@
 
 import pytest
 
-from fmsync.bench.suites import SuiteError, load_suite, suite_names
+from data_gen import load_collection
+from fmsync.bench.cell import run_cell
+from fmsync.bench.suites import Cell, SuiteError, load_suite, suite_names
 
 GOOD = """description = "a test"
 seeds = 2
@@ -94,3 +96,48 @@ def test_unknown_suite_offers_near_ones():
 @pytest.mark.parametrize("name", suite_names())
 def test_suites_of_the_package_are_sound(name):
     assert load_suite(name, seeds=1).cells
+
+
+@pytest.fixture
+def collection(tmp_path, monkeypatch):
+    """A folder of collections with one of two cats in it."""
+    folder = tmp_path / "data" / "kittens"
+    folder.mkdir(parents=True)
+    for shape in load_collection("cats", count=2, n_vertices=1000):
+        rows = [" ".join(map(repr, row)) for row in shape.vertices.tolist()]
+        rows += [" ".join(map(str, [3, *row])) for row in shape.faces.tolist()]
+        head = ["OFF", f"{shape.n_vertices} {len(shape.faces)} 0"]
+        (folder / f"{shape.name}.off").write_text("\n".join(head + rows))
+    monkeypatch.setenv("FMSYNC_DATA", str(tmp_path / "data"))
+    return folder
+
+
+def test_changed_data_never_meet_an_old_cell(collection):
+    problem = {"n_nodes": 2, "n": 4, "collection": "kittens", "sigma2": 0.1}
+
+    def cell():
+        return Cell("data_gen.bench_problems:shapes", problem, 0, "mle", "mle")
+
+    before, error = cell().key, run_cell(cell())["metrics"][3]
+    file = collection / "cat1.off"
+    file.write_bytes(file.read_bytes())  # newer, the same bytes
+    assert cell().key == before
+    lines = file.read_text().splitlines()
+    lines[2] = "0.5 0.5 0.5"  # one vertex somewhere else
+    file.write_text("\n".join(lines))
+    assert cell().key != before
+    changed = run_cell(cell())["metrics"][3]
+    assert error[0] == changed[0] == "edge_error"
+    assert error[2] != changed[2]  # nor does the process remember the old shapes
+
+
+def test_another_collection_takes_the_place_of_the_cats(collection):
+    cells = load_suite("meshes@kittens", seeds=1).cells
+    assert {cell.problem["collection"] for cell in cells} == {"kittens"}
+    assert len(cells) == len(load_suite("meshes", seeds=1).cells)
+    with pytest.raises(SuiteError, match="nothere.*FMSYNC_DATA"):
+        load_suite("meshes@nothere")
+    with pytest.raises(SuiteError, match="no grid names a collection"):
+        load_suite("robust@kittens")
+    with pytest.raises(SuiteError, match="not a name"):
+        load_suite("meshes@some/where")

@@ -12,7 +12,7 @@ import pkgutil
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -38,14 +38,14 @@ class Answer:
     draws
         (T, N, n, n) absolute rotations, each in any gauge, of methods that sample; else None.
     numbers
-        Metrics that only the method can know, such as ESS a second.
+        Called after the clock has stopped: metrics that only the method can know, such as ESS a second.
     path
         (step, relative) on the way to the answer, for figures of convergence.
     """
 
     relative: Relative
     draws: np.ndarray | None = None
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    numbers: Callable[[], Mapping[str, float]] = dict
     path: tuple[tuple[int, Relative], ...] = ()
 
     @classmethod
@@ -102,8 +102,11 @@ def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Ans
     began = time.perf_counter()
     post = samplers.sample(problem, method, rng=rng, **options)
     seconds = time.perf_counter() - began
-    ess = post.summary()["ess_bulk"].min()
-    numbers = {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
+
+    def numbers() -> dict[str, float]:
+        ess = post.summary()["ess_bulk"].min()
+        return {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
+
     draws = np.swapaxes(post.absolute, 0, 1).reshape(-1, *post.absolute.shape[2:])  # chains take turns
     return Answer(post.relative_mean, draws, numbers)
 

@@ -18,14 +18,15 @@
 """
 
 import difflib
+import hashlib
 import importlib
 import inspect
 import itertools
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,7 @@ class Cell:
             "method": self.method,
             "options": dict(self.options),
             "code": _fingerprint(frozenset(code["method"] | code["generator"] | {"fmsync.bench.measure"})),
+            "data": data_fingerprint(self.generator, self.problem),
         }
 
     @cached_property
@@ -134,7 +136,7 @@ def load_suite(
     Parameters
     ----------
     name
-        ``"smoke"``, ..., or a path.
+        ``"smoke"``, ..., or a path. ``"paper@tosca_cat"`` is the suite ``paper`` with the shapes of another collection.
     files
         Files that register methods; these join every grid.
     seeds
@@ -148,12 +150,15 @@ def load_suite(
         Unknown suite (offers near names), a key that means nothing (names line and key), a method, option, generator or
         problem parameter that does not exist.
     """
-    path = suite_file(name)
+    base, _, collection = str(name).partition("@")
+    path = suite_file(base if collection else name)
     if seeds is not None and seeds < 1:
         raise SuiteError(f"seeds: need at least one, got {seeds}")
     text = path.read_text(encoding="utf-8")
     extra = {added: str(Path(file).resolve()) for file in files for added in methods.load(file)}
     cells = _Reader(path, text, extra).cells(seeds)
+    if collection:
+        cells = _of_collection(cells, collection, path)
     if only is not None:
         try:
             cells = [cell for cell in cells if re.search(only, str(cell))]
@@ -161,7 +166,23 @@ def load_suite(
             raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
         if not cells:
             raise SuiteError(f"only: no cell of {path.stem} matches {only!r}")
-    return Suite(path.stem, tomllib.loads(text)["description"], tuple(cells))
+    return Suite(
+        f"{path.stem}@{collection}" if collection else path.stem, tomllib.loads(text)["description"], tuple(cells)
+    )
+
+
+def _of_collection(cells: Iterable[Cell], collection: str, path: Path) -> list[Cell]:
+    """The cells on shapes, with the shapes of another collection, all of which must be on this machine."""
+    if Path(collection).name != collection:
+        raise SuiteError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
+    moved = [replace(c, problem={**c.problem, "collection": collection}) for c in cells if "collection" in c.problem]
+    if not moved:
+        raise SuiteError(f"{path}: no grid names a collection that {collection!r} could replace")
+    try:
+        data_fingerprint(moved[0].generator, moved[0].problem)
+    except ValueError as error:
+        raise SuiteError(f"collection: {error}") from error
+    return moved
 
 
 def generator_function(generator: str) -> Callable:
@@ -171,6 +192,27 @@ def generator_function(generator: str) -> Callable:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"generator: {generator!r} cannot be imported ({error}); write 'module:function'") from error
+
+
+def data_fingerprint(generator: str, problem: Mapping[str, object]) -> str:
+    """SHA-256 over names and bytes of the files that a problem is read from; empty where there are none.
+
+    A generator's module says which they are in a function ``data_files(problem)``, if it reads any.
+    """
+    files_of = getattr(importlib.import_module(generator.partition(":")[0]), "data_files", None)
+    files = files_of(problem) if files_of else []
+    if not files:
+        return ""
+    digest = hashlib.sha256()
+    for file in files:
+        stat = file.stat()
+        digest.update(f"{file.name}\n{_file_hash(file, stat.st_mtime_ns, stat.st_size)}\n".encode())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1024)
+def _file_hash(file: Path, mtime_ns: int, size: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 class _Reader:
