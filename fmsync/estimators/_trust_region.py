@@ -16,6 +16,7 @@ from fmsync.problem import SyncProblem, neighbour_sums, sparse_sums
 from fmsync.so import sym, transpose
 
 _MACHINE_STEP = 1e-13  # relative decrease of the cost that rounding still resolves
+_LOOSE = 0.1  # share of the gradient that a linear system may leave
 
 
 @dataclass
@@ -109,17 +110,20 @@ def minimise(
     record()
     radius = model.diameter / 8
     slack = _MACHINE_STEP * model.magnitude  # near the optimum both differences are rounding
+    forcing = _LOOSE
     for _ in range(max_iterations):
         if point.norm <= tolerance:
             break
-        step, predicted, at_boundary = _truncated_cg(model, point, radius, tolerance)
+        target = max(forcing * point.norm, 0.3 * tolerance)  # no better than what is asked for
+        step, predicted, at_boundary, left = _truncated_cg(model, point, radius, target)
         trial = model.evaluate(model.retract(point, step))
         ratio = (point.cost - trial.cost + slack) / (predicted + slack)
         if ratio < 0.25:
             radius = 0.25 * min(radius, float(np.linalg.norm(step)))
         elif ratio > 0.75 and at_boundary:
             radius = min(2 * radius, model.diameter)
-        if ratio > 0.1:
+        if ratio > 0.1:  # the next system is solved as far as the quadratic model held (Eisenstat & Walker 1996)
+            forcing = min(_LOOSE, np.sqrt(abs(trial.norm - left) / point.norm))
             point = trial
             record()
         elif radius < 1e-14:
@@ -128,15 +132,14 @@ def minimise(
     return point.absolute, point.norm <= tolerance, trace
 
 
-def _truncated_cg(model: Model, point: Point, radius: float, tolerance: float) -> tuple[np.ndarray, float, bool]:
-    """Steihaug–Toint: a step, the decrease its quadratic model predicts, and whether it hit the boundary."""
+def _truncated_cg(model: Model, point: Point, radius: float, target: float) -> tuple[np.ndarray, float, bool, float]:
+    """Steihaug–Toint: a step, the decrease its model predicts, whether it hit the boundary, the gradient left over."""
     inverse_diagonal = model.preconditioner(point)
     residual = point.gradient.astype(inverse_diagonal.dtype)
     step = np.zeros_like(residual)
     curved_step = np.zeros_like(step)  # Hessian times step, for the model value
     direction = -inverse_diagonal * residual
     slope = -np.vdot(residual, direction)
-    target = max(point.norm * min(0.1, point.norm), 0.3 * tolerance)  # superlinear, no better than what is asked for
     at_boundary = False
     for _ in range(model.dimension):
         curved = model.hessian(point, direction)
@@ -158,7 +161,7 @@ def _truncated_cg(model: Model, point: Point, radius: float, tolerance: float) -
         direction *= slope / old_slope
         direction -= preconditioned
     predicted = -float(np.vdot(step, point.gradient) + np.vdot(step, curved_step) / 2)
-    return step, predicted, at_boundary
+    return step, predicted, at_boundary, float(np.linalg.norm(residual))
 
 
 def _to_boundary(step: np.ndarray, direction: np.ndarray, radius: float) -> float:
