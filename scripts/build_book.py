@@ -8,7 +8,6 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import yaml
 from jupyter_cache import get_cache
 from jupyter_cache.base import CacheBundleIn
 from jupyter_cache.executors.utils import single_nb_execution
@@ -16,17 +15,9 @@ from myst_nb.core.read import read_myst_markdown_notebook
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
+from fmsync_status import pages, surroundings  # noqa: E402
+
 _KEPT_CACHES = 4  # with and without the TOSCA cats, and the two before
-
-
-def pages() -> list[Path]:
-    """Executable pages of the table of contents."""
-    toc = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
-    entries = list(toc.get("chapters", []))
-    for part in toc.get("parts", []):
-        entries += part["chapters"]
-    files = [ROOT / "book" / f"{entry['file']}.md" for entry in entries]
-    return [f for f in files if "kernelspec:" in f.read_text(encoding="utf-8")[:600]]
 
 
 def execute(page: Path, folder: Path) -> str | None:
@@ -41,7 +32,7 @@ def execute(page: Path, folder: Path) -> str | None:
     result = single_nb_execution(notebook, cwd=str(page.parent), timeout=300, allow_errors=False)
     if result.err:
         return f"{page.name} failed after {result.time:.1f} s\n{result.exc_string}"
-    bundle = CacheBundleIn(notebook, str(page), data={"execution_seconds": result.time})
+    bundle = CacheBundleIn(notebook, str(page), data={"execution_seconds": result.time, **surroundings()})
     cache.cache_notebook_bundle(bundle, check_validity=False, overwrite=True)
     print(f"executed {page.name} in {result.time:.1f} s", flush=True)
     return None
@@ -55,6 +46,12 @@ def drop_old_caches(current: Path) -> None:
         shutil.rmtree(old)
 
 
+def date_of_the_text() -> str | None:
+    """Seconds since 1970 of the last commit, which pages then carry as their date; None outside a repository."""
+    told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
+    return told.stdout.strip() if told.returncode == 0 else None
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="chapters executed at the same time")
@@ -62,6 +59,8 @@ def main() -> int:
     from fmsync_book import cache_folder
 
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the built pages share one viewer file
+    if date := date_of_the_text():
+        os.environ.setdefault("SOURCE_DATE_EPOCH", date)  # the same commit renders to the same bytes
     folder = cache_folder()
     drop_old_caches(folder)
     get_cache(str(folder)).db  # noqa: B018  creates the database before two threads would

@@ -1,0 +1,80 @@
+"""Sphinx extension of this book: the table of the status page, read from the execution cache."""
+
+import os
+import platform
+import re
+from importlib.metadata import version
+from pathlib import Path
+
+import yaml
+from docutils.nodes import Node
+from sphinx.util.docutils import SphinxDirective
+
+ROOT = Path(__file__).resolve().parents[2]
+_LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyvista", "pyfmaps", "jupyter-book")
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """Executable pages of the table of contents, in its order."""
+    toc = yaml.safe_load((root / "book" / "_toc.yml").read_text(encoding="utf-8"))
+    entries = [entry for part in toc["parts"] for entry in part["chapters"]]
+    files = [root / "book" / f"{entry['file']}.md" for entry in entries]
+    return [f for f in files if "kernelspec:" in f.read_text(encoding="utf-8")[:600]]
+
+
+def surroundings() -> dict[str, str]:
+    """Where a page is executed; kept beside its outputs."""
+    cpuinfo = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*:\s*(.+)", cpuinfo.read_text()) if cpuinfo.exists() else []
+    shapes = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
+    return {
+        "machine": f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores",
+        "system": f"{platform.system()} {platform.release()}, Python {platform.python_version()}",
+        "shapes": "the TOSCA cats" if shapes.is_dir() else "the cats that come with the project",
+    }
+
+
+class Status(SphinxDirective):
+    """Chapters with seconds and result, then versions, machine and shapes, as Markdown of the page."""
+
+    def run(self) -> list[Node]:
+        lines = status_table(
+            records(), [(path, f"/{path.relative_to(ROOT / 'book').with_suffix('')}") for path in pages()]
+        )
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def records() -> dict[Path, dict]:
+    """What the execution cache knows of each page; pages that it does not hold are left out."""
+    from fmsync_book import cache_folder
+    from jupyter_cache import get_cache
+    from myst_nb.core.read import read_myst_markdown_notebook
+
+    cache, found = get_cache(str(cache_folder())), {}
+    for page in pages():
+        notebook = read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
+        try:
+            found[page] = cache.match_cache_notebook(notebook).data
+        except KeyError:
+            continue
+    return found
+
+
+def status_table(found: dict[Path, dict], links: list[tuple[Path, str]]) -> list[str]:
+    """Lines of Markdown from :func:`records` and the document name of every page."""
+    lines = ["| chapter | seconds | result |", "| --- | ---: | --- |"]
+    for page, link in links:
+        seconds, result = (f"{found[page]['execution_seconds']:.0f}", "passed") if page in found else ("–", "not run")
+        lines.append(f"| {{doc}}`{link}` | {seconds} | {result} |")
+    total = sum(data["execution_seconds"] for data in found.values())
+    lines += ["", f"Together {total / 60:.1f} minutes, one after the other.", ""]
+    for name in ("machine", "system", "shapes"):
+        values = sorted({data[name] for data in found.values() if name in data}) or ["not known"]
+        lines.append(f"- **{name.capitalize()}:** {'; '.join(values)}")
+    lines.append(f"- **Versions:** {', '.join(f'{library} {version(library)}' for library in _LIBRARIES)}")
+    return lines
+
+
+def setup(app):
+    app.add_directive("fm-status", Status)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,46 @@
+"""Pack the rendered book into one file that opens from disk; the same pages give the same bytes."""
+
+import argparse
+import os
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+_EARLIEST = 315532800  # 1980, where the dates of zip files begin
+
+
+def pack(html: Path, archive: Path, folder: str = "fmsync-book") -> int:
+    """Write every file below ``html`` into ``archive``, below ``folder``; gives their number.
+
+    Sorted names, one date (``SOURCE_DATE_EPOCH``, or 1980) and one mode: nothing in the archive tells when or where it
+    was made.
+    """
+    date = time.gmtime(max(int(os.environ.get("SOURCE_DATE_EPOCH") or 0), _EARLIEST))[:6]
+    files = sorted(p for p in html.rglob("*") if p.is_file() and not p.name.startswith("."))
+    if not (html / "index.html").is_file():
+        raise ValueError(f"{html} holds no index.html: build the book first (make book)")
+    unfinished = archive.with_suffix(".part")
+    with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
+        for file in files:
+            info = zipfile.ZipInfo(f"{folder}/{file.relative_to(html).as_posix()}", date)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            packed.writestr(info, file.read_bytes())
+    unfinished.replace(archive)
+    return len(files)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--html", type=Path, default=ROOT / "_build" / "html", help="rendered pages")
+    parser.add_argument("--output", type=Path, default=ROOT / "_build" / "book.zip", help="the archive")
+    arguments = parser.parse_args()
+    count = pack(arguments.html, arguments.output)
+    print(f"{arguments.output}: {count} files, {arguments.output.stat().st_size / 1e6:.1f} MB; open index.html in it")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

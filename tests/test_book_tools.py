@@ -1,0 +1,82 @@
+"""The scripts around the book: the archive is the same for the same pages, the status says what the cache knows."""
+
+import importlib.util
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _load(path: str):
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+zip_book = _load("scripts/zip_book.py")
+status = _load("book/_ext/fmsync_status.py")
+
+
+@pytest.fixture
+def html(tmp_path):
+    for name in ("index.html", "chapters/one.html", "_static/style.css", ".buildinfo"):
+        file = tmp_path / "html" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(f"this is {name}")
+    return tmp_path / "html"
+
+
+def test_same_pages_same_bytes_whatever_their_dates(html, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1790000000")
+    assert zip_book.pack(html, tmp_path / "a.zip") == 3
+    (html / "index.html").touch()
+    (html / "chapters" / "one.html").chmod(0o600)
+    zip_book.pack(html, tmp_path / "b.zip")
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    (html / "index.html").write_text("changed")
+    zip_book.pack(html, tmp_path / "b.zip")
+    assert (tmp_path / "a.zip").read_bytes() != (tmp_path / "b.zip").read_bytes()
+
+
+def test_archive_holds_the_pages_below_one_folder(html, tmp_path):
+    zip_book.pack(html, tmp_path / "book.zip")
+    with zipfile.ZipFile(tmp_path / "book.zip") as packed:
+        assert packed.namelist() == [
+            "fmsync-book/_static/style.css",
+            "fmsync-book/chapters/one.html",
+            "fmsync-book/index.html",
+        ]
+        assert packed.read("fmsync-book/chapters/one.html") == b"this is chapters/one.html"
+
+
+def test_nothing_is_packed_before_the_book_is_built(tmp_path):
+    with pytest.raises(ValueError, match="make book"):
+        zip_book.pack(tmp_path, tmp_path / "book.zip")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_chapter_is_in_the_contents_once():
+    listed = status.pages()
+    assert sorted(listed) == sorted((ROOT / "book" / "chapters").glob("*.md"))
+
+
+def test_status_tells_what_ran_and_what_did_not():
+    ran, missing = Path("ran.md"), Path("missing.md")
+    data = {"execution_seconds": 90.2, "machine": "a machine", "shapes": "cats", "system": "Linux"}
+    lines = status.status_table({ran: data}, [(ran, "/ran"), (missing, "/missing")])
+    assert "| {doc}`/ran` | 90 | passed |" in lines
+    assert "| {doc}`/missing` | – | not run |" in lines
+    assert "Together 1.5 minutes, one after the other." in lines
+    assert "- **Machine:** a machine" in lines
+    assert any(line.startswith("- **Versions:** fmsync ") for line in lines)
+
+
+def test_surroundings_name_the_shapes_in_use(monkeypatch, tmp_path):
+    monkeypatch.delenv("FMSYNC_DATA", raising=False)
+    assert status.surroundings()["shapes"] == "the cats that come with the project"
+    (tmp_path / "tosca_cat").mkdir()
+    monkeypatch.setenv("FMSYNC_DATA", str(tmp_path))
+    assert status.surroundings()["shapes"] == "the TOSCA cats"
