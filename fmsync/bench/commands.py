@@ -1,6 +1,7 @@
-"""``fmsync bench``: run, report, compare, list."""
+"""``fmsync bench``: run, collect, report, compare, verify, list."""
 
 import argparse
+import itertools
 import os
 import sys
 import time
@@ -73,6 +74,18 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         "--tolerance", type=float, default=0.01, help="relative change to report (default: %(default)s)"
     )
     compare.set_defaults(run=_compare)
+
+    verify = _command(
+        actions,
+        "verify",
+        "run random cells of the tables of results again and compare; exit status 1 when one differs",
+        "fmsync bench verify\n  fmsync bench verify paper robust --cells 20 --seed 1",
+    )
+    verify.add_argument("suites", nargs="*", metavar="SUITE", help="default: all that have a table of results")
+    verify.add_argument("--cells", type=int, default=10, help="how many, of all tables together (default: %(default)s)")
+    verify.add_argument("--seed", type=int, default=0, help="chooses the cells (default: %(default)s)")
+    verify.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
+    verify.set_defaults(run=_verify)
 
     listing = _command(actions, "list", "suites and methods", "fmsync bench list")
     listing.set_defaults(run=_list)
@@ -200,6 +213,33 @@ def _compare(arguments: argparse.Namespace) -> int:
     print(found.to_string(index=False, float_format="{:.4g}".format))
     regressions = ~found.verdict.isin(["better"]) & ~found.verdict.str.endswith("-> ok")
     return 1 if regressions.any() else 0
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    import pandas as pd
+
+    from fmsync.bench import results
+    from fmsync.bench.runner import current_commit
+    from fmsync.bench.verify import agrees, verify
+
+    names = arguments.suites or sorted(path.stem for path in arguments.results.glob("*.parquet"))
+    if not names:
+        raise ValueError(f"{arguments.results}: no tables of results there; name another folder with --results")
+    frame = pd.concat([results.read(arguments.results / f"{name}.parquet") for name in names], ignore_index=True)
+    made = ", ".join(sorted(frame.commit.unique()))
+    print(f"{arguments.cells} random cells of {', '.join(names)}; made at {made}, run again at {current_commit()}")
+    n_doubtful = 0
+    for cell, found in itertools.groupby(verify(frame, arguments.cells, arguments.seed), lambda one: one.cell):
+        verdicts = list(found)
+        counts = {name: sum(one.verdict == name for one in verdicts) for name in ("equal", "agrees")}
+        print(f"{cell}: {counts['equal']} metrics equal, {counts['agrees']} within the interval", flush=True)
+        for one in verdicts:
+            if one.metric == "edge_error" or not agrees(one):
+                numbers = f"{one.before:.6g} then, {one.now:.6g} now, {one.interval:.2g} allowed"
+                print(f"  {one.verdict}: {one.metric} {numbers}")
+        n_doubtful += sum(not agrees(one) for one in verdicts)
+    print(f"{n_doubtful} metrics differ" if n_doubtful else "all agree")
+    return 1 if n_doubtful else 0
 
 
 def _list(arguments: argparse.Namespace) -> int:

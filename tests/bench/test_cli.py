@@ -63,7 +63,7 @@ def test_bad_input_ends_with_one_line(arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["run", "collect", "report", "compare", "list"])
+@pytest.mark.parametrize("command", ["run", "collect", "report", "compare", "verify", "list"])
 def test_help_shows_an_example(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["bench", command, "--help"])

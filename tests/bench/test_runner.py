@@ -173,18 +173,3 @@ def test_sigkill_loses_and_repeats_no_finished_cell(tmp_path, after):
     assert len(times) == 60
     assert len([name for name, count in times.items() if count > 1]) <= len(started) - len(finished)
     assert max(times.values()) <= 2
-
-
-@pytest.mark.slow  # it times: not a matter for a busy machine
-def test_overhead_of_short_cells(tmp_path):
-    """Wall time of cells of 50 ms, one process, start-up taken off by a difference."""
-    log, spent = tmp_path / "log", {}
-    for count in (20, 60):
-        todo = cells("trick-count", count, log=str(log), seconds=0.05)
-        for cell in todo:
-            cell.key  # noqa: B018  hashed once for each method, not for each cell
-        began = time.perf_counter()
-        run_cells(todo, Store(tmp_path / str(count)), n_jobs=1)
-        spent[count] = time.perf_counter() - began
-    per_cell = (spent[60] - spent[20]) / 40
-    assert per_cell < 0.05 * 1.5  # measured 2 to 4 ms on an idle machine; this bound survives a busy one

@@ -1,0 +1,104 @@
+"""What the runner costs beside the methods it runs. Run: ``python -m fmsync.bench.speed_runner``.
+
+Prints CPU milliseconds of a short cell beside its method (problem made, limits set, answer measured, record sent and
+written) as a share of the method's own; and what chains gain that advance as one batch, on which it depends whether
+cells of different seeds should. On a busy machine trust the ratios.
+"""
+
+import os
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import fmsync
+from fmsync.bench import methods
+from fmsync.bench.runner import run_cells
+from fmsync.bench.speed_samplers import complete_problem
+from fmsync.bench.store import Store
+from fmsync.bench.suites import Cell
+
+_COUNT = 60  # cells of a round
+_METHOD = """
+import numpy as np
+from fmsync.bench.methods import Answer, method
+
+
+@method("some-work")
+def some_work(problem, *, rng, products: int):
+    matrix = np.eye(20)
+    for _ in range(products):
+        matrix = matrix @ matrix
+    return Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
+"""
+_SAMPLERS = {
+    "rlfm": ("rlfm", {}),
+    "rlfm, unconstrained": ("rlfm", {"constrained": False}),
+    "rlfm, geodesic energy": ("rlfm", {"energy": "geodesic"}),
+    "heat bath": ("heat-bath", {}),
+    "heat bath, projected": ("heat-bath", {"likelihood": "projected-gaussian"}),
+}
+
+
+def overhead(folder: Path) -> None:
+    """Print CPU milliseconds of a cell beside its method, and their share of the method's own."""
+    file = folder / "some_work.py"
+    file.write_text(_METHOD)
+    methods.load(file)
+    name, generator = "some-work", "data_gen.bench_problems:rotations"
+    problem = {"n_nodes": 4, "n": 5, "sigma2": 0.1}
+    products = 37_000  # about 50 ms
+    for n_jobs in (1, 2):
+        rounds = []
+        for k in range(6):
+            seeds = range(k * _COUNT, (k + 1) * _COUNT)
+            todo = [Cell(generator, problem, s, name, name, {"products": products}, file=str(file)) for s in seeds]
+            began = _cpu_of_all()
+            run = run_cells(todo, Store(folder / str(n_jobs)), n_jobs=n_jobs)
+            spent = (_cpu_of_all() - began) / _COUNT
+            own = np.mean([value for r in run.records for metric, _, value in r["metrics"] if metric == "cpu_seconds"])
+            rounds.append((spent / own - 1, own, spent - own))
+        share, own, rest = np.median(rounds[1:], axis=0)  # the first round imports, compiles and starts the processes
+        print(f"{n_jobs} at a time: method {1e3 * own:.1f} ms, beside it {1e3 * rest:.2f} ms, {share:.1%}", flush=True)
+
+
+def _cpu_of_all() -> float:
+    """CPU seconds of this process and of its workers."""
+    spent, tick = time.process_time(), os.sysconf("SC_CLK_TCK")
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == os.getpid():
+            spent += (int(fields[11]) + int(fields[12])) / tick
+    return spent
+
+
+def batches(n_nodes: int, chains: int = 10, steps: int = 60) -> None:
+    """Print CPU milliseconds of a step of one chain, alone and in a batch of chains of one problem."""
+    problem = complete_problem(n_nodes)
+    print(f"\nN = {n_nodes}: CPU ms of a step of one chain, alone and as one of {chains}")
+    for name, (method, options) in _SAMPLERS.items():
+        fmsync.sample(problem, method, n_chains=1, n_draws=4, warmup=4, **options)
+        spent = []
+        for count in (1, chains):
+            began = time.process_time()
+            fmsync.sample(problem, method, n_chains=count, n_draws=steps // 3 * 2, warmup=steps // 3, **options)
+            spent.append(1e3 * (time.process_time() - began) / count / steps)
+        print(f"{name:24s} {spent[0]:8.3f} {spent[1]:8.3f}   gain {spent[0] / spent[1]:5.2f}x", flush=True)
+
+
+def main() -> None:
+    """Print all tables."""
+    warnings.simplefilter("ignore", fmsync.diagnostics.ConvergenceWarning)  # nobody reads these draws
+    with tempfile.TemporaryDirectory() as folder:
+        overhead(Path(folder))
+    for n_nodes in (4, 11):
+        batches(n_nodes)
+
+
+if __name__ == "__main__":
+    main()
