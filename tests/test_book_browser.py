@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 from functools import cache
+from importlib import util
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -32,6 +33,9 @@ ARGS = [
     "--enable-unsafe-swiftshader",
 ]
 WIDE, PHONE = {"width": 1200, "height": 900}, {"width": 390, "height": 844}
+SMALL = {"width": 520, "height": 600}  # drawing in software costs by the pixel
+SHEET = {"width": 718, "height": 1047}  # A4 at 96 dots an inch, without margins of 1 cm
+AXE = next(Path(util.find_spec("axe_playwright_python").origin).parent.glob("axe.min.js")).read_text(encoding="utf-8")
 PAGES = sorted(
     p.relative_to(HTML).as_posix() for p in HTML.rglob("*.html") if "_static" not in p.parts and p.name != "index.html"
 )
@@ -47,10 +51,13 @@ def _absent(reason: str) -> None:
 
 @pytest.fixture(scope="module")
 def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _absent("no playwright: make setup")
     if not CHROME:
         _absent("no chromium: apt-get install chromium, or name one in CHROME")
-    with sync_api.sync_playwright() as p:
+    with sync_playwright() as p:
         profile = tempfile.mkdtemp()
         context = p.chromium.launch_persistent_context(profile, executable_path=CHROME, headless=True, args=ARGS)
         yield context
@@ -95,18 +102,12 @@ def test_the_book_is_built():
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_page_reads_well_at_both_widths_and_themes(opened, name):
+def test_page_is_seen_read_printed_and_used_by_everyone(opened, name):
+    """One visit, because a visit costs more than what is checked."""
     opened.page.route("**/_static/viewer.html", lambda route: route.fulfill(body=""))  # scenes have their own test
-    for viewport, theme, other_viewport in ((WIDE, "light", PHONE), (PHONE, "dark", WIDE)):
-        page = opened(name, viewport, theme)
-        assert page.evaluate("document.documentElement.dataset.theme") == theme
-        for size in (viewport, other_viewport):
-            page.set_viewport_size(size)
-            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], (
-                f"the page scrolls sideways at {size['width']} px, {theme}: {page.evaluate(_WIDEST)}"
-            )
-        ink, paper = page.evaluate(_COLOURS)
-        assert _contrast(ink, paper) > 4.5, f"{theme}: text {ink} on {paper}"
+    page = opened(name, WIDE, "light")
+    assert _first_view(page) <= 2000, "milliseconds until something is seen"
+    _fits_both_widths_and_themes(page)
     assert page.locator("span.math, div.math").count() == page.locator(".math mjx-container > svg").count()
     assert page.locator("mjx-container [data-mml-node='merror']").count() == 0
     assert page.locator("mjx-container [fill='red']").count() == 0  # how an unknown macro is drawn
@@ -115,22 +116,71 @@ def test_page_reads_well_at_both_widths_and_themes(opened, name):
         assert image["width"] > 0, f"not loaded: {image['src'][:80]}"
         pixels = _read(image["src"])
         assert pixels is None or pixels.std() > 3, f"blank: {image['alt']}"
+    page.set_viewport_size(SHEET)
+    page.emulate_media(media="print")
+    assert page.evaluate(_ON_PAPER, SHEET) == []
+    page.emulate_media(media="screen")
+    page.set_viewport_size(WIDE)
+    _serious_violations_of_axe(page)
 
 
+def _first_view(page) -> float:
+    """Milliseconds until something is seen: the best of three, for a machine that does other things as well."""
+    seen = []
+    while len(seen) < 3 and min(seen, default=np.inf) > 2000:
+        if seen:
+            page.reload(wait_until="load")
+        seen.append(page.evaluate(_FIRST_VIEW))
+    return min(seen)
+
+
+_FIRST_VIEW = """() => new Promise((done) => new PerformanceObserver((list) => {
+  for (const e of list.getEntriesByName("first-contentful-paint")) done(e.startTime);
+}).observe({ type: "paint", buffered: true }))"""
+
+
+def _fits_both_widths_and_themes(page) -> None:
+    for theme in ("dark", "light"):
+        page.evaluate(_PAINT, theme)
+        for size in (PHONE, WIDE):
+            page.set_viewport_size(size)
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], (
+                f"the page scrolls sideways at {size['width']} px, {theme}: {page.evaluate(_WIDEST)}"
+            )
+        ink, paper = page.evaluate(_COLOURS)
+        assert _contrast(ink, paper) > 4.5, f"{theme}: text {ink} on {paper}"
+
+
+_PAINT = "(theme) => (document.documentElement.dataset.theme = theme)"
+_WIDEST = """() => [...document.querySelectorAll("article *")]
+  .filter((e) => e.getBoundingClientRect().right > innerWidth + 1)
+  .slice(0, 3).map((e) => e.outerHTML.slice(0, 120))"""
+_COLOURS = """() => {
+  const text = document.querySelector("article p") || document.querySelector("article") || document.body;
+  return [getComputedStyle(text).color, getComputedStyle(document.body).backgroundColor];
+}"""
 _IMAGES = """() => Promise.all([...document.images].map(async (i) => {
   i.loading = "eager";
   await i.decode().catch(() => {});
   return { alt: i.alt, src: i.src, width: i.naturalWidth };
 }))"""
-_COLOURS = """() => {
-  const text = document.querySelector("article p") || document.querySelector("article") || document.body;
-  return [getComputedStyle(text).color, getComputedStyle(document.body).backgroundColor];
+# what would be lost on a sheet of this size: white text, live scenes, folded solutions, what is too wide or too tall
+_ON_PAPER = """({ width, height }) => {
+  dispatchEvent(new Event("beforeprint"));
+  const lost = [], seen = (e) => e.checkVisibility();
+  if (document.documentElement.dataset.theme !== "light") lost.push("dark paper");
+  for (const e of document.querySelectorAll("iframe, .bd-sidebar, .bd-header")) if (seen(e)) lost.push(e.outerHTML);
+  for (const e of document.querySelectorAll(".solution p, .solution pre, .solution img:not(.fm-loop)"))
+    if (!seen(e)) lost.push(e.outerHTML);
+  for (const e of document.querySelectorAll("article :is(pre, img, mjx-container)")) {
+    const box = e.getBoundingClientRect();
+    if (seen(e) && (e.scrollWidth > e.clientWidth + 1 && e.tagName === "PRE" || box.right > width + 1))
+      lost.push(`wide: ${e.outerHTML}`);
+    if (e.tagName === "IMG" && box.height > height) lost.push(`tall: ${e.outerHTML}`);
+  }
+  dispatchEvent(new Event("afterprint"));
+  return lost.map((html) => html.slice(0, 160));
 }"""
-
-
-_WIDEST = """() => [...document.querySelectorAll("article *")]
-  .filter((e) => e.getBoundingClientRect().right > innerWidth + 1)
-  .slice(0, 3).map((e) => e.outerHTML.slice(0, 120))"""
 
 
 def _contrast(ink: str, paper: str) -> float:
@@ -153,6 +203,67 @@ def _read(source: str) -> np.ndarray | None:
     else:
         data = Path(unquote(urlsplit(source).path)).read_bytes()
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), dtype=float)
+
+
+def _serious_violations_of_axe(page) -> None:
+    """None by axe-core, with everything unfolded and in both themes."""
+    page.evaluate(_UNFOLD)
+    page.wait_for_timeout(400)  # the theme lets the keyboard into what scrolls, a moment after a resize
+    page.evaluate(AXE)
+    assert page.evaluate(_SERIOUS, ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]) == []
+    page.evaluate(_THIN_OUT)
+    for theme in ("light", "dark"):
+        page.evaluate(_PAINT, theme)
+        assert page.evaluate(_SERIOUS, "color-contrast") == [], theme
+
+
+_UNFOLD = """() => {
+  const still = document.createElement("style");
+  still.textContent = "* { transition: none !important }";
+  document.head.append(still);
+  document.querySelectorAll("details").forEach((e) => (e.open = true));
+  document.querySelectorAll(".toggle-hidden").forEach((e) => e.classList.remove("toggle-hidden"));
+  // formulas take their colour from the text around them; code and signatures repeat a few kinds of words
+  document.querySelectorAll("mjx-container").forEach((e) => e.remove());
+  const known = new Set();
+  for (const e of document.querySelectorAll("pre span, dt.sig span:not([id])")) {
+    const kind = e.className + e.parentNode.className + e.closest("div, dt").className;
+    if (known.has(kind)) e.replaceWith(...e.childNodes);
+    known.add(kind);
+  }
+  document.body.normalize();
+  dispatchEvent(new Event("resize"));
+}"""
+_SERIOUS = """async (rules) => {
+  const found = await axe.run(
+    document,
+    {
+      resultTypes: ["violations"], iframes: false, preload: false, runOnly: rules,
+      rules: rules === "color-contrast" ? {} : { "color-contrast": { enabled: false } },
+    },
+  );
+  return found.violations
+    .filter((v) => ["serious", "critical"].includes(v.impact))
+    .flatMap((v) => v.nodes.map((n) => `${v.id}: ${n.html.slice(0, 160)} ${n.failureSummary}`));
+}"""
+# colours follow from tag, class and style of an element and of those around it: one text of each kind is enough.
+_THIN_OUT = """() => {
+  const known = new Set();
+  (function thin(e, path) {
+    const stripe = e.tagName === "TR" ? [...e.parentNode.children].indexOf(e) % 2 : "";
+    path += `>${e.tagName}.${e.className}${e.getAttribute("style") ?? ""}${stripe}`;
+    for (const t of [...e.childNodes]) if (t.nodeType === Node.TEXT_NODE && known.has(path)) t.remove();
+    if (e.textContent.trim()) known.add(path);
+    for (const child of [...e.children]) thin(child, path);
+    if (!e.textContent.trim() && !e.querySelector("img, button, input")) e.remove();
+  })(document.body, "");
+}"""
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_theme_is_the_readers_own(opened, theme):
+    page = opened("intro.html", WIDE, theme)
+    assert page.evaluate("document.documentElement.dataset.theme") == theme
 
 
 @cache
@@ -178,6 +289,23 @@ def test_internal_links_and_anchors_exist(name):
     assert not broken
 
 
+def test_print_makes_a_pdf_of_many_sheets(opened):
+    if "chapters/01_functional_maps.html" not in PAGES:
+        _absent("the book is not built: make book")
+    page = opened("chapters/01_functional_maps.html", WIDE, "dark")
+    pdf = page.pdf(format="A4")
+    assert 5 < len(re.findall(rb"/Type\s*/Page\b", pdf)) < 30
+    assert page.evaluate("document.documentElement.dataset.theme") == "dark"  # and the screen is as before
+
+
+def test_search_finds_a_word_from_disk(opened):
+    if "search.html" not in PAGES:
+        _absent("the book is not built: make book")
+    page = opened("search.html", WIDE, "light")
+    page.goto((HTML / "search.html").as_uri() + "?q=eigenfunction")
+    page.locator("#search-results li a").first.wait_for(timeout=10_000)
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_page_is_light(name):
     assert (HTML / name).stat().st_size <= 3_000_000
@@ -195,7 +323,8 @@ def test_scenes_are_alive_wherever_they_can_be():
 def test_scenes_draw_and_turn_when_dragged(opened, name):
     if not can_render():
         _absent("no OpenGL here, so the book has still pictures: apt-get install libegl1 libgl1")
-    page = opened(name, WIDE, "light")
+    opened.page.route("**/mathjax/*", lambda route: route.fulfill(body=""))  # costs more than a scene
+    page = opened(name, SMALL, "light")
     stages = page.locator(".fm-stage:has(> script)")
     for k in range(stages.count()):
         stages.nth(k).scroll_into_view_if_needed()

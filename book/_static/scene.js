@@ -50,3 +50,6 @@
   });
   addEventListener("afterprint", () => (root.dataset.theme = theme));
 })();
+
+// The theme lets the keyboard scroll what is too wide, but looks for it on resizing only: unfolded code counts as well.
+document.addEventListener("toggle", () => dispatchEvent(new Event("resize")), true);
