@@ -11,17 +11,22 @@ export MKL_NUM_THREADS ?= 1
 export FMSYNC_DATA
 JOBS ?= 2
 HTML := _build/html/index.html
-.PHONY: setup book test lint unit notebook-test browser notebooks lab clean
+.PHONY: setup book book.zip test lint unit notebook-test browser notebooks lab clean
 
 book: setup
 	python scripts/sync_notebooks.py --check
 	python scripts/build_book.py --jobs $(JOBS)
+
+# the rendered book in one file that opens from disk: _build/book.zip
+book.zip: book
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct 2>/dev/null) python scripts/zip_book.py
 
 test: lint unit notebook-test browser
 
 lint: setup
 	ruff check .
 	ruff format --check .
+	codespell
 
 unit: setup
 	pytest -q -n $(JOBS) -m "not browser and not slow"
