@@ -11,8 +11,18 @@ from pathlib import Path
 
 import jupytext
 import nbformat
+import yaml
 
-BOOK = Path(__file__).resolve().parents[1] / "book"
+ROOT = Path(__file__).resolve().parents[1]
+BOOK = ROOT / "book"
+_COLAB = """# Google Colab only: fetch the project and what it needs. Elsewhere this cell does nothing.
+import sys
+
+if "google.colab" in sys.modules:
+    !git clone -q --depth 1 --branch {branch} {url} /content/project
+    %cd -q /content/project/book/notebooks
+    %pip install -q -e /content/project
+    sys.path.insert(0, "/content/project")"""
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?:doc|ref|prf:ref|numref|eq|cite[\w:]*|term)\}`(?:([^`<]+?)\s*<[^`>]+>|([^`]+))`")
@@ -64,9 +74,17 @@ def _plain(role: re.Match) -> str:
     return role[1] or (f"({role[2]})" if role[0].startswith("{eq}") else role[2])
 
 
+def repository() -> dict[str, str]:
+    """``url`` (empty while the project has no address) and ``branch``, from _config.yml."""
+    return yaml.safe_load((ROOT / "_config.yml").read_text(encoding="utf-8"))["repository"]
+
+
 def render(md: Path) -> str:
     """The notebook of one chapter as the text of its .ipynb file."""
     notebook = jupytext.read(md)
+    home = repository()
+    if home["url"]:
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
     for k, cell in enumerate(notebook.cells):

@@ -1,10 +1,13 @@
 """The scripts around the book: the archive is the same for the same pages, the status says what the cache knows."""
 
 import importlib.util
+import os
 import zipfile
 from pathlib import Path
 
+import nbformat
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -17,7 +20,9 @@ def _load(path: str):
 
 
 zip_book = _load("scripts/zip_book.py")
+sync_notebooks = _load("scripts/sync_notebooks.py")
 status = _load("book/_ext/fmsync_status.py")
+book = _load("book/_ext/fmsync_book.py")
 
 
 @pytest.fixture
@@ -80,3 +85,38 @@ def test_surroundings_name_the_shapes_in_use(monkeypatch, tmp_path):
     (tmp_path / "tosca_cat").mkdir()
     monkeypatch.setenv("FMSYNC_DATA", str(tmp_path))
     assert status.surroundings()["shapes"] == "the TOSCA cats"
+
+
+def test_pages_offer_to_run_elsewhere_only_with_an_address():
+    assert book.launch_links("", "main", "03_mle") == []
+    assert book.launch_links("https://example.org/fmsync", "main", "03_mle") == []
+    for where, address in book.launch_links("https://github.com/someone/fmsync.git", "main", "03_mle"):
+        notebook = address.split("main", 1)[1].split("tree/")[-1].lstrip("/")
+        assert (ROOT / notebook).is_file(), where
+
+
+def test_notebooks_prepare_colab_only_with_an_address(monkeypatch):
+    chapter = ROOT / "book" / "chapters" / "03_mle.md"
+    plain = nbformat.reads(sync_notebooks.render(chapter), 4)
+    monkeypatch.setattr(
+        sync_notebooks, "repository", lambda: {"url": "https://github.com/someone/fmsync", "branch": "main"}
+    )
+    prepared = nbformat.reads(sync_notebooks.render(chapter), 4)
+    first, *rest = prepared.cells
+    assert "https://github.com/someone/fmsync /content/project" in first.source
+    assert [cell.source for cell in rest] == [cell.source for cell in plain.cells]
+    code = TransformerManager().transform_cell(first.source)
+    exec(code, {})  # away from Colab it must do nothing, not even with a shell
+    assert all("colab" not in cell.source for cell in plain.cells)
+
+
+def test_binder_installs_the_lock_file_and_the_packages_of_the_readme():
+    binder = ROOT / ".binder"
+    reference = (binder / "requirements.txt").read_text().split()
+    assert reference[0] == "-r"
+    assert (binder / reference[1]).resolve() == ROOT / "requirements.txt"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f" {package} " in readme for package in (binder / "apt.txt").read_text().split())
+    version = (binder / "runtime.txt").read_text().strip().removeprefix("python-")
+    assert f"--python-version {version} " in (ROOT / "requirements.txt").read_text()
+    assert os.access(binder / "postBuild", os.X_OK)

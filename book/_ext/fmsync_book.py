@@ -84,8 +84,32 @@ def _finish_page(app, pagename, templatename, context, doctree):
     name = pagename.rsplit("/", 1)[-1]
     if (ROOT / "book" / "notebooks" / f"{name}.ipynb").exists() and "</h1>" in context.get("body", ""):
         href = context["pathto"](f"notebooks/{name}.ipynb", resource=True)
-        link = f'<p class="fm-download"><a href="{href}" download>Download this page as a notebook</a></p>'
+        links = [f'<a href="{href}" download>Download this page as a notebook</a>']
+        options = app.config.html_theme_options
+        for where, address in launch_links(options.get("repository_url"), options.get("repository_branch"), name):
+            links.append(f'<a href="{address}">run it on {where}</a>')
+        link = f'<p class="fm-download">{", ".join(links)}</p>'
         context["body"] = context["body"].replace("</h1>", "</h1>\n" + link, 1)
+
+
+def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[str, str]]:
+    """Where a page's notebook runs without an installation; nothing while the project has no address on GitHub.
+
+    >>> launch_links("", "main", "03_mle")
+    []
+    >>> for where, address in launch_links("https://github.com/someone/fmsync", "main", "03_mle"):
+    ...     print(where, address)
+    Binder https://mybinder.org/v2/gh/someone/fmsync/main?urlpath=lab/tree/book/notebooks/03_mle.ipynb
+    Colab https://colab.research.google.com/github/someone/fmsync/blob/main/book/notebooks/03_mle.ipynb
+    """
+    host, _, project = (url or "").removesuffix("/").removesuffix(".git").partition("github.com/")
+    if host != "https://" or not project:
+        return []
+    branch, notebook = branch or "main", f"book/notebooks/{name}.ipynb"
+    return [
+        ("Binder", f"https://mybinder.org/v2/gh/{project}/{branch}?urlpath=lab/tree/{notebook}"),
+        ("Colab", f"https://colab.research.google.com/github/{project}/blob/{branch}/{notebook}"),
+    ]
 
 
 def _drop_thebe(context):
