@@ -1,12 +1,41 @@
 r"""Compiled sweeps of the heat bath: rotations of two columns at a time, exact for densities exp(tr(Fᵀ C)).
 
-Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rotate are rows, contiguous in memory.
+Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rotate are rows, contiguous in memory. The
+planes of a map are visited in rounds of disjoint ones: no angle of a round waits for another, and all are drawn at once.
 """
 
 import numba
 import numpy as np
 
-from fmsync.samplers._random import von_mises_half
+from fmsync.samplers._random import POOL, von_mises_halves
+
+
+def rounds(n: int) -> np.ndarray:
+    """All planes of n columns in rounds of disjoint ones, (n - 1 or n, n // 2, 2): the table of a tournament."""
+    last = n - 1 + n % 2  # an odd n has one more player, who is nobody
+    table = [[(last, r)] + [((r + k) % last, (r - k) % last) for k in range(1, (last + 1) // 2)] for r in range(last)]
+    return np.array([[sorted(pair) for pair in pairs if max(pair) < n] for pairs in table]).reshape(-1, n // 2, 2)
+
+
+@numba.njit(cache=True, nogil=True)
+def colours(start, other):
+    """A greedy colouring: nodes in the order of their colours, and where each colour begins (C + 1,).
+
+    Nodes of one colour are not neighbours: what one does is nothing to the others, in whatever order they are visited.
+    """
+    n_nodes = len(start) - 1
+    colour, taken = np.full(n_nodes, -1), np.full(n_nodes + 1, -1)
+    for i in range(n_nodes):
+        for t in range(start[i], start[i + 1]):
+            if colour[other[t]] >= 0:
+                taken[colour[other[t]]] = i
+        colour[i] = 0
+        while taken[colour[i]] == i:
+            colour[i] += 1
+    first = np.zeros(colour.max() + 2, dtype=np.int64)
+    for i in range(n_nodes):
+        first[colour[i] + 1] += 1
+    return np.argsort(colour, kind="mergesort"), np.cumsum(first)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -28,8 +57,16 @@ def node_blocks(maps, weights, start, edge, forward, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def sweep(x, blocks, start, other, field, kappa, over_relaxations, state):
-    r"""One pass over all nodes of one chain: each node is over-relaxed some times, then drawn by the heat bath.
+def sweep_chains(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+    """:func:`sweep` for all of x (K, N, n, n); blocks (K, 2E n²), or (1, 2E n²) where all chains read the same."""
+    for k in range(len(x)):
+        block = blocks[k if len(blocks) > 1 else 0]
+        sweep(x[k], block, start, other, field, kappa[k], over_relaxations, planes, nodes, states[k], gains[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def sweep(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+    r"""Visit nodes of one chain: each is over-relaxed some times, then drawn by the heat bath.
 
     Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
     :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises. Over-relaxation takes θ to
@@ -47,31 +84,33 @@ def sweep(x, blocks, start, other, field, kappa, over_relaxations, state):
         Concentration of the observations.
     over_relaxations
         Reflections of every pair of columns before the draw.
-    state
-        (4,) generator.
-
-    Returns
-    -------
-    float
-        Change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
+    planes
+        From :func:`rounds`.
+    nodes
+        Nodes to visit, in this order.
+    states
+        (N, 4, 8) generators, one a node.
+    gains
+        (N,): at every node visited, the change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
     """
-    n_nodes, n = x.shape[0], x.shape[1]
+    n = x.shape[1]
     largest = 0
-    for i in range(n_nodes):
+    for i in nodes:
         largest = max(largest, start[i + 1] - start[i])
     gathered = np.empty((largest * n, n))
     sums, force, product = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     rows = np.empty((n, 2 * n))  # row a: column a of W, then column a of C
-    gained = 0.0
-    for i in range(n_nodes):
+    angles = np.ones((5, (planes.shape[1] + 3) // 4 * 4))  # whole vectors: those beyond the planes are not used
+    pool = np.empty(POOL)
+    for i in nodes:
         degree = start[i + 1] - start[i]
         for t in range(degree):
             gathered[t * n : (t + 1) * n] = x[other[start[i] + t]]
         block = blocks[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
         np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
+        before = _inner(sums, x[i])
         for a in range(n):
             for b in range(n):
-                gained -= sums[a, b] * x[i, a, b]
                 force[a, b] = kappa * sums[a, b]
                 if len(field):
                     force[a, b] += field[i, a, b]
@@ -81,33 +120,69 @@ def sweep(x, blocks, start, other, field, kappa, over_relaxations, state):
                 rows[a, b] = product[a, b]
                 rows[a, n + b] = x[i, a, b]
         for _ in range(over_relaxations):
-            _rotate_all(rows, n, True, state)
-        _rotate_all(rows, n, False, state)
+            _over_relax(rows, planes, angles)
+        _draw(rows, planes, angles, states[i], pool)
         for a in range(n):
             for b in range(n):
                 x[i, a, b] = rows[a, n + b]
-                gained += sums[a, b] * x[i, a, b]
-    return gained
+        gains[i] = _inner(sums, x[i]) - before
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _inner(a, b):
+    total = 0.0
+    for r in range(a.shape[0]):
+        for s in range(a.shape[1]):
+            total += a[r, s] * b[r, s]
+    return total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _over_relax(rows, planes, angles):
+    along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
+    for pairs in planes:
+        _read(rows, pairs, along, across)
+        for p in range(len(along)):
+            square = along[p] * along[p] + across[p] * across[p]
+            shrink = 1 / square if square > 0.0 else 0.0
+            cosine[p] = (along[p] * along[p] - across[p] * across[p]) * shrink if square > 0.0 else 1.0
+            sine[p] = 2 * along[p] * across[p] * shrink
+        rotate_rows(rows, pairs, cosine, sine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _draw(rows, planes, angles, state, pool):
+    along, across, cosine, sine, size = angles[0], angles[1], angles[2], angles[3], angles[4]
+    spare, at = np.empty(len(size)), POOL
+    for pairs in planes:
+        _read(rows, pairs, along, across)
+        for p in range(len(size)):
+            size[p] = np.sqrt(along[p] * along[p] + across[p] * across[p])
+            shrink = 1 / size[p] if size[p] > 0.0 else 0.0
+            along[p] = along[p] * shrink if size[p] > 0.0 else 1.0
+            across[p] *= shrink
+        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
+        for p in range(len(size)):  # twice the half angle, turned by the angle of the mode
+            c, s = cosine[p] * cosine[p] - sine[p] * sine[p], 2 * cosine[p] * sine[p]
+            cosine[p], sine[p] = along[p] * c - across[p] * s, across[p] * c + along[p] * s
+        rotate_rows(rows, pairs, cosine, sine)
 
 
 @numba.njit(cache=True, nogil=True)
-def _rotate_all(rows, n, over_relax, state):
-    for a in range(n - 1):
-        for b in range(a + 1, n):
-            along, across = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
-            square = along * along + across * across
-            if over_relax:
-                if square == 0.0:
-                    continue
-                c, s = (along * along - across * across) / square, 2 * along * across / square
-            else:
-                size = np.sqrt(square)
-                x, y, scale = von_mises_half(size, state)
-                c, s = (x * x - y * y) / scale, 2 * x * y / scale
-                if size > 0.0:  # turned by the angle of the mode
-                    c, s = (along * c - across * s) / size, (across * c + along * s) / size
-            p, q = rows[a], rows[b]
-            for r in range(2 * n):
-                u, v = p[r], q[r]
-                p[r] = c * u + s * v
-                q[r] = c * v - s * u
+def _read(rows, pairs, along, across):
+    for p in range(len(pairs)):
+        a, b = pairs[p, 0], pairs[p, 1]
+        along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def rotate_rows(rows, pairs, cosine, sine):
+    """Rotate pairs of rows, first ← c first + s second, second ← c second - s first."""
+    width = rows.shape[1]
+    for k in range(len(pairs)):
+        p, q = rows[pairs[k, 0]], rows[pairs[k, 1]]
+        c, s = cosine[k], sine[k]
+        for r in range(width):
+            u, v = p[r], q[r]
+            p[r] = c * u + s * v
+            q[r] = c * v - s * u

@@ -12,13 +12,15 @@ drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of
 half of them in turn, and eigenvalues by slices. The maps mix more slowly than the stretches: half is enough.
 """
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 
 from fmsync.problem import SyncProblem
-from fmsync.samplers._heat import node_blocks
+from fmsync.samplers._heat import node_blocks, rotate_rows, rounds
 from fmsync.samplers._levels import matched_to_spectral
-from fmsync.samplers._random import uniform, von_mises_half
+from fmsync.samplers._random import POOL, uniform, von_mises_halves
 
 LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
 _LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
@@ -39,23 +41,36 @@ class Stretches:
         _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
         self._values[..., -1] *= np.sign(np.linalg.det(noise))
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
-        self._maps = np.empty((n_edges, n, n))
-        self._ones, self._age = np.ones(n_edges), 0
+        self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(self, x: np.ndarray, states: np.ndarray, levels: bool) -> None:
+    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable) -> None:
         """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
         p = self._problem
         start, edge, _, forward = p.incidence
         self._age += 1
-        for k in range(len(x)):
-            chain = (self._vectors[k], self._values[k], self.sigma2[k])
-            self.sigma2[k] = stretch_step(x[k], p.edges, p.maps, *chain, levels, self._age % 2, self._maps, states[k])
-            node_blocks(self._maps, self._ones, start, edge, forward, self.blocks[k])
+        planes = self._halves[self._age % 2]
+
+        def some(first: int, last: int) -> None:
+            chains = (a[first:last] for a in (x, self._vectors, self._values, self.sigma2, self.blocks, states))
+            stretch_chains(*chains, p.edges, p.maps, planes, levels, start, edge, forward)
+
+        share(some, len(x))
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretched, state):
-    """All edges of one chain in place, planes of one ``parity`` (0 or 1); C P goes to ``stretched`` (E, n, n).
+def stretch_chains(x, vectors, values, sigma2, blocks, states, edges, maps, planes, levels, start, edge, forward):
+    """:func:`stretch_step` for every chain, σ² and blocks written."""
+    stretched, ones = np.empty(maps.shape), np.ones(len(maps))
+    for k in range(len(x)):
+        sigma2[k] = stretch_step(
+            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, stretched, states[k]
+        )
+        node_blocks(stretched, ones, start, edge, forward, blocks[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, stretched, state):
+    """All edges of one chain in place, in rounds of disjoint planes; C P goes to ``stretched`` (E, n, n).
 
     Returns σ².
     """
@@ -63,6 +78,7 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretc
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
     rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
+    angles, pool, at = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL), POOL
     quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
     for e in range(n_edges):
         np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
@@ -76,7 +92,7 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretc
             for b in range(n):
                 rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
                 diagonal[a] += vectors[e, a, b] * product[a, b]
-        rotate_eigenvectors(rows, diagonal, values[e], sigma2, parity, state)
+        at = rotate_eigenvectors(rows, diagonal, values[e], sigma2, planes, angles, state, pool, at)
         draw_eigenvalues(values[e], diagonal, sigma2, state)
         for a in range(n):
             quadratic += values[e, a] * values[e, a]
@@ -96,39 +112,45 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, parity, stretc
     return sigma2
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def rotate_eigenvectors(rows, diagonal, values, sigma2, parity, state):
-    r"""Gibbs draws of every other plane of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def rotate_eigenvectors(rows, diagonal, values, sigma2, planes, angles, state, pool, at):
+    r"""Gibbs draws of planes of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
 
     With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
-    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`.
+    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`. ``angles`` (7, M) is
+    room; the stock of random numbers is that of :func:`~fmsync.samplers._random.von_mises_halves`.
     """
     n = len(values)
-    for a in range(n - 1):
-        p = rows[a]
-        for b in range(a + 1 + parity, n, 2):
-            q = rows[b]
-            between = 0.0
+    half, between, gap, size = angles[0], angles[1], angles[2], angles[3]
+    cosine, sine, spare = angles[4], angles[5], angles[6]
+    for pairs in planes:
+        for k in range(len(pairs)):
+            a, b = pairs[k, 0], pairs[k, 1]
+            p, q = rows[a], rows[b]
+            product = 0.0
             for r in range(n):
-                between += p[r] * q[n + r]
-            half = (diagonal[a] - diagonal[b]) / 2
-            gap = (values[a] - values[b]) / sigma2
-            along, across = gap * half, gap * between
-            size = np.sqrt(along * along + across * across)
-            c, s, square = von_mises_half(size, state)
-            if size > 0.0:  # half the angle of the mode comes on top: the angle of (size + along, across)
-                x, y = (size + along, across) if along >= 0 else (across, size - along)
-                square *= 2 * size * (size + abs(along))
-                c, s = c * x - s * y, s * x + c * y
-            shrink = 1 / np.sqrt(square)
-            c, s = c * shrink, s * shrink
-            for r in range(2 * n):
-                first, second = p[r], q[r]
-                p[r] = c * first + s * second
-                q[r] = c * second - s * first
+                product += p[r] * q[n + r]
+            between[k], half[k] = product, (diagonal[a] - diagonal[b]) / 2
+            gap[k] = (values[a] - values[b]) / sigma2
+        for k in range(len(size)):
+            size[k] = np.abs(gap[k]) * np.sqrt(half[k] * half[k] + between[k] * between[k])
+        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
+        for k in range(len(size)):  # half the angle of the mode comes on top: the angle of (size + along, across)
+            along, across = gap[k] * half[k], gap[k] * between[k]
+            x = size[k] + along if along >= 0 else across
+            y = across if along >= 0 else size[k] - along
+            square = 2 * size[k] * (size[k] + np.abs(along))
+            shrink = 1 / np.sqrt(square) if square > 0.0 else 0.0
+            x, y = x * shrink if square > 0.0 else 1.0, y * shrink
+            cosine[k], sine[k] = cosine[k] * x - sine[k] * y, sine[k] * x + cosine[k] * y
+        for k in range(len(pairs)):
+            a, b = pairs[k, 0], pairs[k, 1]
             middle = (diagonal[a] + diagonal[b]) / 2
-            half = half * (c * c - s * s) + between * 2 * c * s
-            diagonal[a], diagonal[b] = middle + half, middle - half
+            c, s = cosine[k], sine[k]
+            turned = half[k] * (c * c - s * s) + between[k] * 2 * c * s
+            diagonal[a], diagonal[b] = middle + turned, middle - turned
+        rotate_rows(rows, pairs, cosine, sine)
+    return at
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

@@ -1,16 +1,21 @@
 """The heat bath: exact Gibbs sweeps over planes of every map, without a step size, without rejections."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fmsync import problem as energies
 from fmsync import so
 from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
 from fmsync.samplers import _heat, _kernels, sampler
+from fmsync.samplers._crew import Crew
 from fmsync.samplers._levels import Concentration, check_identified
 from fmsync.samplers._random import generators
 from fmsync.samplers._stretch import Stretches
 
 _POLISH_EVERY = 200  # sweeps between two repairs of orthogonality and of the running energy
+# Below these a thread costs more to wake than it saves: of all maps together, N n² (n + 30); of a colour, nodes a thread.
+_WORTH_SHARING, _LEAST_COLOUR = 3e5, 4
 _SETTLE = 100  # sweeps of the warm-up before an unknown noise level moves: chains from random maps must order first
 
 
@@ -66,18 +71,22 @@ class HeatBath:
         if isinstance(over_relaxations, bool) or int(over_relaxations) != over_relaxations or over_relaxations < 0:
             raise ValueError(f"over_relaxations: an integer >= 0, got {over_relaxations}")
         self._problem, self._over, self._age = problem, int(over_relaxations), 0
-        self._states = generators(rng, len(start))
+        streams = generators(rng, len(start), problem.n_nodes + 1)  # of the chain, then of its nodes
+        self._states, self._streams = np.ascontiguousarray(streams[:, 0]), np.ascontiguousarray(streams[:, 1:])
         self._x = np.ascontiguousarray(so.transpose(start))  # (K, N, n, n), transposed maps
         self._field = prior_field(problem, prior)
         self._stretches = None
         start_of, edge, self._other, forward = problem.incidence
-        self._start_of = start_of
+        self._start_of, self._planes, self._crew = start_of, _heat.rounds(problem.n), Crew()
+        self._order, self._colours = _heat.colours(start_of, self._other)
+        self._gains = np.empty(start.shape[:2])
+        self._heavy = self._gains.size * problem.n**2 * (problem.n + 30) > _WORTH_SHARING
         if likelihood == "langevin":
             self._level = Concentration(problem, prior, kappa, beta, len(start), rng)
             self.kappa = self._level.value
             blocks = np.empty(2 * problem.n_edges * problem.n**2)
             _heat.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
-            self._blocks = np.broadcast_to(blocks, (len(start), blocks.size))  # every chain reads the same
+            self._blocks = blocks[None]  # every chain reads the same
         else:
             if kappa is not None or beta is not None:
                 raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
@@ -116,14 +125,12 @@ class HeatBath:
         """One sweep of every chain, after a draw of what is unknown beside the maps."""
         moving = not (warming and self._age < _SETTLE)
         if self._stretches is not None:
-            self._stretches.step(self._x, self._states, moving)
+            self._stretches.step(self._x, self._states, moving, self._share)
             self.kappa = 1 / self._stretches.sigma2
         elif self._level.inferred and moving:
             self._level.update(self._traces, self._states)
-        for k, x in enumerate(self._x):
-            self._traces[k] += _heat.sweep(
-                x, self._blocks[k], self._start_of, self._other, self._field, self.kappa[k], self._over, self._states[k]
-            )
+        self._sweep()
+        self._traces += self._gains.sum(axis=1)
         self._age += 1
         if self._age % _POLISH_EVERY == 0:
             self._refresh()
@@ -131,6 +138,33 @@ class HeatBath:
     def set_kappa(self, kappa: np.ndarray) -> None:
         """Other concentrations (K,), when they are not inferred."""
         self.kappa[:] = kappa
+
+    def _sweep(self) -> None:
+        """Every node of every chain: chains side by side, or the nodes of one colour when chains are too few."""
+        n_chains, order = len(self._x), self._order
+
+        def sweep(chains: slice, nodes: np.ndarray) -> None:
+            blocks = self._blocks if len(self._blocks) == 1 else self._blocks[chains]
+            _heat.sweep_chains(
+                self._x[chains], blocks, self._start_of, self._other, self._field, self.kappa[chains], self._over,
+                self._planes, nodes, self._streams[chains], self._gains[chains],
+            )  # fmt: skip
+
+        if n_chains >= self._crew.size or not self._heavy:
+            self._share(lambda first, last: sweep(slice(first, last), order), n_chains)
+            return
+        for first, last in zip(self._colours, self._colours[1:]):
+            nodes = order[first:last]
+            if len(nodes) < _LEAST_COLOUR * self._crew.size:
+                sweep(slice(None), nodes)
+            else:
+                self._crew.share(lambda a, b, nodes=nodes: sweep(slice(None), nodes[a:b]), len(nodes))
+
+    def _share(self, work: Callable[[int, int], None], count: int) -> None:
+        if self._heavy:
+            self._crew.share(work, count)
+        else:
+            work(0, count)
 
     def _refresh(self) -> None:
         """Take off the rounding that maps and running energies gathered."""

@@ -1,8 +1,12 @@
 """The heat bath against exact laws and slow twins; thresholds are numbers of standard errors."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import networkx as nx
+import numba
 import numpy as np
 import pytest
+from joblib import Parallel, delayed
 from scipy import stats
 from scipy.special import ive
 
@@ -10,33 +14,49 @@ import data_gen
 import fmsync
 from fmsync import langevin, so
 from fmsync.problem import neighbour_sums
-from fmsync.samplers import _heat, _levels, _random
+from fmsync.samplers import _crew, _heat, _levels, _random
 from tests.samplers.laws import mean_and_error, noisy, one_edge
 
 
-def test_generator_against_the_definition():
-    """Python's whole numbers in place of 64-bit registers."""
-    states = _random.generators(np.random.default_rng(0), 2)
-    s, mask = [int(v) for v in states[0]], 2**64 - 1
-    assert not np.array_equal(states[0], states[1])
-    for _ in range(100):
-        total = (s[0] + s[3]) & mask
-        expected = (((total << 23) | (total >> 41)) + s[0]) & mask
-        t = (s[1] << 17) & mask
-        s[2] ^= s[0]
-        s[3] ^= s[1]
-        s[1] ^= s[2]
-        s[0] ^= s[3]
-        s[2] ^= t
-        s[3] = ((s[3] << 45) | (s[3] >> 19)) & mask
-        assert _random.uniform(states[0]) == (expected >> 11) / 2**53
+def test_generators_against_their_definition():
+    """Python's whole numbers in place of 64-bit registers, one lane after the other."""
+    state = _random.generators(np.random.default_rng(0), 2)[1]
+    lanes, mask = [[int(v) for v in state[:, lane]] for lane in range(8)], 2**64 - 1
+    expected = np.empty((100, 8))
+    for t in range(100):
+        for lane, s in enumerate(lanes):
+            total = (s[0] + s[3]) & mask
+            result = (((total << 23) | (total >> 41)) + s[0]) & mask
+            shifted = (s[1] << 17) & mask
+            s[2] ^= s[0]
+            s[3] ^= s[1]
+            s[1] ^= s[2]
+            s[0] ^= s[3]
+            s[2] ^= shifted
+            s[3] = ((s[3] << 45) | (s[3] >> 19)) & mask
+            expected[t, lane] = (result >> 11) / 2**53
+    drawn = np.empty((100, 8))
+    drawn[0, 0] = _random.uniform(state.copy())
+    assert drawn[0, 0] == expected[0, 0]
+    _random.fill(state, drawn)
+    np.testing.assert_array_equal(drawn, expected)
+    assert len(np.unique(drawn)) == drawn.size
 
 
-@pytest.mark.parametrize("k", [0.0, 1e-13, 0.3, 5.0, 200.0, 1e7])
+def half_angles(k, count, state):
+    """(count, 2) cosines and sines by the compiled draw, each with another place in its vectors."""
+    pool, at, drawn = np.empty(_random.POOL), _random.POOL, np.empty((count // 5, 5, 2))
+    room = np.empty((3, 8))
+    for t in range(len(drawn)):
+        at = _random.von_mises_halves(np.full(8, k), room[0], room[1], room[2], 5, state, pool, at)
+        drawn[t] = room[:2, :5].T
+    return drawn.reshape(-1, 2)
+
+
+@pytest.mark.parametrize("k", [0.0, 1e-13, 0.3, 1.99, 2.0, 5.0, 200.0, 1e7])
 def test_von_mises_draws(k):
-    state = _random.generators(np.random.default_rng(1), 1)[0]
-    half = np.array([_random.von_mises_half(k, state) for _ in range(20_000)])
-    np.testing.assert_allclose((half[:, :2] ** 2).sum(1), half[:, 2])
+    half = half_angles(k, 20_000, _random.generators(np.random.default_rng(1), 1)[0])
+    np.testing.assert_allclose((half**2).sum(1), 1)
     angle = 2 * np.arctan2(half[:, 1], half[:, 0])
     angle = np.angle(np.exp(1j * angle))
     law = stats.uniform(-np.pi, 2 * np.pi) if k < 1e-6 else stats.vonmises(k)
@@ -48,45 +68,81 @@ def test_von_mises_draws(k):
         assert abs(cosine.mean() - ive(1, k) / ive(0, k)) < 4 * cosine.std() / np.sqrt(len(cosine))
 
 
-def slow_sweep(c, problem, kappa, field, over_relaxations, state):
+def test_the_envelope_lies_above_the_von_mises_law():
+    """The bounds 2.4 and 1.14 that the rejections rest on, over all k and all angles."""
+    k = np.concatenate([np.linspace(0, 5, 501), np.geomspace(5, 1e9, 200)])[:, None]
+    w = 1 / (8 * k + 0.5)
+    z = np.minimum(np.concatenate([w * np.linspace(0, 30, 1000), np.tile(np.linspace(0, 1, 2000), (len(k), 1))], 1), 1)
+    ratio = np.exp(-8 * k * z / (1 + z) ** 2) * (1 + z / w) ** 1.5 / (1 + z)
+    assert (ratio <= np.where(k >= 2, 1.14, 2.4)).all()
+
+
+def test_an_exponential_of_plain_arithmetic():
+    x = np.concatenate([-np.geomspace(1e-12, 50, 300), [0.0]])
+    np.testing.assert_allclose([_random._exp(v) for v in x], np.exp(x), rtol=0, atol=3e-14)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6, 9])
+def test_every_plane_is_in_one_round_of_disjoint_planes(n):
+    table = _heat.rounds(n)
+    assert sorted(map(tuple, table.reshape(-1, 2))) == [(a, b) for a in range(n) for b in range(a + 1, n)]
+    assert all(len(set(pairs.ravel())) == pairs.size for pairs in table)
+
+
+def test_colours_are_proper():
+    graph = data_gen.random_graph(40, 0.2, rng=0)
+    p = data_gen.perturb(data_gen.planted(40, 3, graph, rng=0), 0.1, 1)
+    start, _, other, _ = p.incidence
+    order, first = _heat.colours(start, other)
+    assert sorted(order) == list(range(40))
+    assert (first[0], first[-1]) == (0, 40)
+    assert len(first) - 1 <= p.degrees.max() + 1
+    colour = np.repeat(np.arange(len(first) - 1), np.diff(first))[np.argsort(order)]
+    assert (colour[p.edges[:, 0]] != colour[p.edges[:, 1]]).all()
+
+
+def slow_sweep(c, problem, kappa, field, over_relaxations, order, states):
     """The same pass on whole matrices, with a fresh W = Fᵀ C before every rotation."""
-    for i in range(problem.n_nodes):
+    count = problem.n // 2
+    padded = -(-count // 4) * 4
+    for i in order:
+        pool, at, room = np.empty(_random.POOL), _random.POOL, np.empty((3, padded))
         force = kappa * neighbour_sums(problem, c)[i] + field[i]
         for over_relax in [True] * over_relaxations + [False]:
-            for a in range(problem.n):
-                for b in range(a + 1, problem.n):
+            for pairs in _heat.rounds(problem.n):
+                size = np.ones(padded)
+                w = force.T @ c[i]
+                size[:count] = [np.hypot(w[a, a] + w[b, b], w[a, b] - w[b, a]) for a, b in pairs]
+                if not over_relax:
+                    at = _random.von_mises_halves(size, room[0], room[1], room[2], count, states[i], pool, at)
+                for k, (a, b) in enumerate(pairs):
                     w = force.T @ c[i]
-                    along, across = w[a, a] + w[b, b], w[a, b] - w[b, a]
-                    mode = np.arctan2(across, along)
-                    if over_relax:
-                        angle = 2 * mode
-                    else:
-                        x, y, _ = _random.von_mises_half(np.hypot(along, across), state)
-                        angle = mode + 2 * np.arctan2(y, x)
+                    mode = np.arctan2(w[a, b] - w[b, a], w[a, a] + w[b, b])
+                    angle = 2 * mode if over_relax else mode + 2 * np.arctan2(room[1, k], room[0, k])
                     turn = np.eye(problem.n)
                     turn[[a, b], [a, b]] = np.cos(angle)
                     turn[b, a], turn[a, b] = np.sin(angle), -np.sin(angle)
                     c[i] = c[i] @ turn
 
 
-@pytest.mark.parametrize("with_prior", [False, True])
-def test_sweep_against_its_slow_twin(with_prior):
-    truth = data_gen.planted(6, 4, data_gen.random_graph(6, 0.5, rng=0), rng=0)
+@pytest.mark.parametrize(("n", "with_prior"), [(4, False), (4, True), (5, False), (2, True)])
+def test_sweep_against_its_slow_twin(n, with_prior):
+    truth = data_gen.planted(6, n, data_gen.random_graph(6, 0.5, rng=0), rng=0)
     p = data_gen.perturb(truth, 0.1, 1, repeats=2)
     p = fmsync.SyncProblem(6, p.edges, p.maps, weights=np.random.default_rng(2).uniform(0.5, 2, p.n_edges))
     start, edge, other, forward = p.incidence
-    blocks = np.empty(2 * p.n_edges * 16)
+    blocks = np.empty(2 * p.n_edges * n * n)
     _heat.node_blocks(p.maps, p.weights, start, edge, forward, blocks)
-    c = so.random_uniform(4, 6, rng=3)
-    field = so.random_uniform(4, 6, rng=4) * 3 if with_prior else np.zeros((6, 4, 4))
-    given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, 4, 4))
-    state = _random.generators(np.random.default_rng(5), 1)[0]
-    twin, x, twin_state = c.copy(), np.ascontiguousarray(so.transpose(c)), state.copy()
-    gained = _heat.sweep(x, blocks, start, other, given, 5.0, 2, state)
-    slow_sweep(twin, p, 5.0, field, 2, twin_state)
+    c = so.random_uniform(n, 6, rng=3)
+    field = so.random_uniform(n, 6, rng=4) * 3 if with_prior else np.zeros((6, n, n))
+    given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, n, n))
+    states, (order, _) = _random.generators(np.random.default_rng(5), 6), _heat.colours(start, other)
+    twin, x, twin_states, gains = c.copy(), np.ascontiguousarray(so.transpose(c)), states.copy(), np.empty(6)
+    _heat.sweep(x, blocks, start, other, given, 5.0, 2, _heat.rounds(p.n), order, states, gains)
+    slow_sweep(twin, p, 5.0, field, 2, order, twin_states)
     np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
     change = (fmsync.problem.energy(p, c) - fmsync.problem.energy(p, twin)) / 2
-    assert gained == pytest.approx(change, abs=1e-9)
+    assert gains.sum() == pytest.approx(change, abs=1e-9)
 
 
 @pytest.mark.parametrize(("kappa", "exact"), [(3, 3.0000), (10, 10.1674), (30, 16.8173)])
@@ -187,6 +243,63 @@ def test_chains_do_not_depend_on_their_number():
     )
     np.testing.assert_array_equal(a.absolute, b.absolute[:2])
     assert np.abs(b.absolute[1] - b.absolute[0]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("n_nodes", "n_chains", "options"),
+    [
+        (24, 4, {"kappa": 5.0}),
+        (24, 4, {"likelihood": "projected-gaussian"}),
+        (400, 1, {"kappa": 5.0}),
+        (400, 1, {"kappa": "auto"}),
+    ],
+)
+def test_draws_do_not_depend_on_the_number_of_threads(monkeypatch, n_nodes, n_chains, options):
+    """Chains side by side in the first two, nodes of one colour in the others."""
+    n = 20 if n_nodes < 100 else 8
+    graph = data_gen.random_graph(n_nodes, 0.5 if n_nodes < 100 else 0.02, rng=0)
+    p = data_gen.perturb(data_gen.planted(n_nodes, n, graph, rng=0), 0.1, 1)
+    start, shares = so.random_uniform(n, (n_chains, n_nodes), rng=2), []
+    plain = _crew.Crew.share
+
+    def counted(crew, work, count):
+        shares.append((crew.size, count))
+        plain(crew, work, count)
+
+    monkeypatch.setattr(_crew.Crew, "share", counted)
+    draws = []
+    for threads in (1, 3):
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+        draws.append(
+            fmsync.sample(p, "heat-bath", init=start, n_chains=n_chains, n_draws=4, warmup=0, rng=3, **options)
+        )
+    np.testing.assert_array_equal(draws[0].absolute, draws[1].absolute)
+    np.testing.assert_array_equal(draws[0].energy, draws[1].energy)
+    np.testing.assert_array_equal(draws[0].kappa, draws[1].kappa)
+    shared = [count for size, count in shares if size == 3]
+    assert max(shared) == n_chains if n_chains > 1 else max(shared) > 12
+
+
+RUN = {"kappa": 5.0, "n_chains": 4, "n_draws": 3, "warmup": 0}
+
+
+def test_two_runs_at_once_do_not_meet():
+    p = noisy(24, 20)
+    with ThreadPoolExecutor(2) as callers:
+        together = list(callers.map(lambda k: _absolute(p, k, RUN), range(2)))
+    for k in range(2):
+        np.testing.assert_array_equal(together[k], _absolute(p, k, RUN))
+
+
+@pytest.mark.slow  # the workers import everything anew
+def test_joblib_workers_make_the_same_draws():
+    p = noisy(24, 20)
+    for k, apart in enumerate(Parallel(n_jobs=2)(delayed(_absolute)(p, k, RUN) for k in range(2))):
+        np.testing.assert_array_equal(apart, _absolute(p, k, RUN))
+
+
+def _absolute(problem, seed, run):
+    return fmsync.sample(problem, "heat-bath", rng=seed, **run).absolute
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import data_gen
 import fmsync
 from fmsync import so
-from fmsync.samplers import _random, _stretch
+from fmsync.samplers import _heat, _random, _stretch
 from tests.samplers.laws import mean_and_error
 
 
@@ -34,7 +34,7 @@ def test_stretches_of_one_edge_against_quadrature(sigma2, angle):
     for r in range(repeats):
         for t in range(count):
             _stretch.stretch_step(
-                x, np.array([[0, 1]]), observed, vectors, eigenvalues, sigma2, False, 0, stretched, state
+                x, np.array([[0, 1]]), observed, vectors, eigenvalues, sigma2, False, _heat.rounds(2), stretched, state
             )
             p = observed[0].T @ stretched[0]
             values[r, t] = p[0, 0], p[1, 1], p[0, 1], p[0, 0] * p[1, 1]

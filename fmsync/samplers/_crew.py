@@ -1,0 +1,31 @@
+"""Threads for compiled loops that leave the interpreter: shares of one piece of work, the first done by the caller.
+
+Plain threads rather than those of numba: its portable layer stops the process when two callers meet in it, and GNU
+OpenMP when it is used before and after a fork. How many is numba's own number, ``NUMBA_NUM_THREADS``, by default the
+processors this process may use; joblib sets it to its share in every worker.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+
+
+class Crew:
+    """Up to ``NUMBA_NUM_THREADS`` threads; they are started when first needed and end with the object."""
+
+    def __init__(self):
+        self.size, self._pool = numba.config.NUMBA_NUM_THREADS, None
+
+    def share(self, work: Callable[[int, int], None], count: int) -> None:
+        """Call ``work(first, last)`` for parts of 0 .. count, at the same time; returns when all are done."""
+        parts = min(self.size, count)
+        ends = np.arange(parts + 1) * count // max(parts, 1)
+        if parts > 1 and self._pool is None:
+            self._pool = ThreadPoolExecutor(self.size - 1, thread_name_prefix="fmsync")
+        others = [self._pool.submit(work, ends[k], ends[k + 1]) for k in range(1, parts)]
+        if parts:
+            work(ends[0], ends[1])
+        for other in others:
+            other.result()
