@@ -216,3 +216,77 @@ def test_colours_follow_position():
     assert colours.min() == pytest.approx(0.1)
     assert colours.max() == pytest.approx(1.0)
     np.testing.assert_allclose(viz.colours_from_coordinates([[1, 2, 3], [1, 2, 4]])[:, :2], 0.1)
+
+
+def growing(count, size=(2, 1.5)):
+    for k in range(count):
+        fig, ax = plt.subplots(figsize=size)
+        ax.plot([0, 1], [0, k])
+        yield fig
+
+
+def test_loop_has_all_frames_and_rests_on_the_last():
+    open_before = plt.get_fignums()
+    shown = viz.loop(growing(4), alt="A <steeper> line.", seconds=0.2, rest=3)
+    assert plt.get_fignums() == open_before
+    with Image.open(io.BytesIO(shown.webp)) as moving:
+        assert moving.n_frames == 4
+        durations = []
+        for k in range(4):
+            moving.seek(k)
+            moving.load()
+            durations.append(moving.info["duration"])
+        last = np.asarray(moving.convert("RGB")).astype(int)
+    assert durations == [200, 200, 200, 3000]
+    assert np.abs(last - pixels(shown.still)).mean() < 3  # the compression loses a little
+    page = shown._repr_mimebundle_()["text/html"]
+    assert page.count('alt="A &lt;steeper&gt; line."') == 2
+    assert 'class="fm-still" style="display:none"' in page
+
+
+def test_bad_loops_are_refused():
+    with pytest.raises(ValueError, match="alt is empty"):
+        viz.loop(growing(2), alt=" ")
+    with pytest.raises(ValueError, match="at least two of one size"):
+        viz.loop(growing(1), alt="One.")
+    with pytest.raises(ValueError, match="at least two of one size"):
+        viz.loop([*growing(1), *growing(1, (3, 3))], alt="Two sizes.")
+
+    def noise():
+        for image in np.random.default_rng(0).random((12, 300, 300)):
+            fig, ax = plt.subplots(figsize=(4, 4))
+            ax.imshow(image, interpolation="nearest")
+            yield fig
+
+    with pytest.raises(ValueError, match="bytes: draw fewer or smaller frames"):
+        viz.loop(noise(), alt="Noise.")
+
+
+def test_walk_shows_the_target_in_front_and_the_step():
+    up = np.tile([0.0, 0.0, 1.0], (30, 1))
+    eye = np.array([0.78, -0.45, 0.43]) / np.linalg.norm([0.78, -0.45, 0.43])
+
+    def black(target):
+        return (pixels(viz.walk_on_sphere(up, "A chain that rests.", target=target, frames=2).still) < 40).all(axis=2)
+
+    rows, columns = np.nonzero(black(eye) & ~black(None))
+    height, width = black(None).shape
+    assert abs(columns.mean() / width - 0.5) < 0.05  # what looks at the eye is in the middle
+    assert abs(rows.mean() / height - 0.5) < 0.08
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [(np.ones((40, 3)), r"points has shape \(40, 3\)"), (np.eye(3), "3 points for 30 frames")],
+)
+def test_bad_walks_are_refused(points, message):
+    with pytest.raises(ValueError, match=message):
+        viz.walk_on_sphere(points, "A chain.")
+
+
+def test_type_too_small_for_a_phone_is_raised():
+    fig, ax = plt.subplots()
+    small, large = ax.annotate("small", (0.2, 0.2), fontsize=5), ax.set_title("large", fontsize=15)
+    viz.picture(fig, alt="Two sizes of type.")
+    assert small.get_fontsize() == 10
+    assert large.get_fontsize() == 15

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 
+_LEAST_TYPE = 10  # points: 9 pixels on a phone, where a figure of the usual width is shown at three fifths
+
 # white paper in both themes of the book: the page puts it on a rounded card; 12 pt stays legible on a phone
 _STYLE = {
     "figure.figsize": (5.2, 3.3),
@@ -98,6 +100,8 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
 def picture(fig: Figure, alt: str) -> Picture:
     """Freeze a matplotlib figure as a :class:`Picture` with alt text, and close it.
 
+    Type smaller than 10 points is raised to that: it could not be read on a phone.
+
     Parameters
     ----------
     fig
@@ -119,10 +123,18 @@ def picture(fig: Figure, alt: str) -> Picture:
     """
     if not alt.strip():
         raise ValueError("alt is empty: say in a sentence what the figure shows")
+    return Picture(freeze(fig, 2), alt, round(fig.get_figwidth() * fig.dpi))
+
+
+def freeze(fig: Figure, scale: float) -> bytes:
+    """PNG of a figure with ``scale`` device pixels for each CSS pixel, no type too small; the figure is closed."""
+    fig.draw_without_rendering()  # the numbers at the axes exist only now
+    for text in fig.findobj(mpl.text.Text):
+        text.set_fontsize(max(text.get_fontsize(), _LEAST_TYPE))
     buffer = io.BytesIO()
-    fig.savefig(buffer, format="png", dpi=2 * fig.dpi)  # two device pixels for each CSS pixel
+    fig.savefig(buffer, format="png", dpi=scale * fig.dpi)
     plt.close(fig)
-    return Picture(buffer.getvalue(), alt, round(fig.get_figwidth() * fig.dpi))
+    return buffer.getvalue()
 
 
 def heatmaps(

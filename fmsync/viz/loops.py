@@ -1,0 +1,181 @@
+"""Short moving pictures that repeat, each with a still for paper and for readers who want nothing to move."""
+
+import base64
+import html
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from PIL import Image
+
+from fmsync.viz.figures import _STYLE, PALETTE, freeze, image_tag
+
+_SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
+_MOST_BYTES = 300_000
+
+
+@dataclass(frozen=True, repr=False)
+class Loop:
+    """A picture that moves, and the same picture at rest.
+
+    Parameters
+    ----------
+    webp
+        The frames, bytes of an animated WebP.
+    still
+        The last frame, PNG bytes: what paper shows, and screens that are asked for reduced motion.
+    alt
+        One or two sentences that say what it shows.
+    width
+        Natural width on the page in CSS pixels.
+    """
+
+    webp: bytes
+    still: bytes
+    alt: str
+    width: int
+
+    def __repr__(self) -> str:
+        return f"<Loop: {self.alt}>"
+
+    def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
+        moving = f"data:image/webp;base64,{base64.b64encode(self.webp).decode()}"
+        with Image.open(io.BytesIO(self.webp)) as first:
+            height = round(self.width * first.height / first.width)
+        still = image_tag(self.still, self.alt, self.width)
+        still = still.replace("<img ", '<img class="fm-still" style="display:none" ', 1).replace("lazy", "eager")
+        return {
+            "image/png": base64.b64encode(self.still).decode(),
+            "text/html": (
+                '<figure class="fm-figure fm-moving">'
+                f'<img class="fm-loop" alt="{html.escape(self.alt)}" width="{self.width}" height="{height}" '
+                f'src="{moving}">{still}'
+                '<button type="button" class="fm-pause" '
+                "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Stop or move</button></figure>"
+            ),
+            "text/plain": repr(self),
+        }
+
+
+def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
+    """Join matplotlib figures of one size into a :class:`Loop`, and close them.
+
+    Parameters
+    ----------
+    figures
+        At least two figures, e.g. a generator that draws them one by one.
+    alt
+        What is shown and how it moves, in one or two sentences.
+    seconds, rest
+        Time of one frame, and of the last, which is also the still.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two figures, figures of unequal size, an empty ``alt``, or more than 300 kB.
+
+    Examples
+    --------
+    >>> def frames():
+    ...     for k in range(3):
+    ...         fig, ax = plt.subplots()
+    ...         ax.set(xlim=(0, k + 1))
+    ...         yield fig
+    >>> loop(frames(), alt="An axis that grows.")
+    <Loop: An axis that grows.>
+    """
+    if not alt.strip():
+        raise ValueError("alt is empty: say in a sentence what the loop shows")
+    stills, width = [], 0
+    for figure in figures:
+        width = round(figure.get_figwidth() * figure.dpi)
+        stills.append(freeze(figure, _SCALE))
+    images = [Image.open(io.BytesIO(still)).convert("RGB") for still in stills]
+    if len(images) < 2 or len({image.size for image in images}) > 1:
+        raise ValueError(f"{len(images)} figures of sizes {[i.size for i in images]}: give at least two of one size")
+    times = [round(1000 * seconds)] * (len(images) - 1) + [round(1000 * rest)]
+    buffer = io.BytesIO()
+    images[0].save(
+        buffer, "WEBP", save_all=True, append_images=images[1:], duration=times, loop=0, quality=60, method=4
+    )
+    if buffer.tell() > _MOST_BYTES:
+        raise ValueError(f"the loop has {buffer.tell()} bytes: draw fewer or smaller frames, {_MOST_BYTES} at most")
+    return Loop(buffer.getvalue(), stills[-1], alt, width)
+
+
+def walk_on_sphere(points: ArrayLike, alt: str, *, target: ArrayLike | None = None, frames: int = 30) -> Loop:
+    """A chain of points on the unit sphere, drawn as it goes: what is near is dark, what is behind is pale.
+
+    For a chain of rotations of space, give the places to which they turn one vector, e.g. ``rotations[:, :, 2]``.
+
+    Parameters
+    ----------
+    points
+        Shape (T, 3), unit vectors in the order of the chain, at least one for each frame.
+    alt
+        What is shown, in one or two sentences.
+    target
+        Unit vector (3,) to mark, e.g. the truth.
+    frames
+        Number of frames.
+
+    Raises
+    ------
+    ValueError
+        ``points`` that are not (T, 3) unit vectors, or fewer of them than frames.
+
+    Examples
+    --------
+    >>> angles = np.linspace(0, 6, 50)
+    >>> walk_on_sphere(np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "Along the equator.", frames=5)
+    <Loop: Along the equator.>
+    """
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
+        raise ValueError(f"points has shape {points.shape}: give (T, 3) unit vectors")
+    if len(points) < frames:
+        raise ValueError(f"{len(points)} points for {frames} frames: give at least one for each")
+    ends = np.linspace(len(points) / frames, len(points), frames).round().astype(int)
+    return loop((_sphere(points[:end], target, len(points)) for end in ends), alt)
+
+
+def _sphere(points: np.ndarray, target: ArrayLike | None, total: int) -> Figure:
+    x, y, depth = _seen(points)
+    with mpl.style.context(_STYLE):
+        fig, ax = plt.subplots(figsize=(3.6, 3.8))
+    ax.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), aspect="equal", title=f"step {len(points)} of {total}")
+    ax.set_axis_off()
+    ax.add_patch(plt.Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
+    turn = np.linspace(0, 2 * np.pi, 90)
+    for height in (-0.5, 0.0, 0.5):  # three parallels and two meridians show the roundness
+        ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * np.sqrt(1 - height**2) + [0, 0, height]
+        _line(ax, ring, "#c6d0da")
+    for angle in (0, np.pi / 2):
+        _line(ax, np.stack([np.cos(turn) * np.cos(angle), np.cos(turn) * np.sin(angle), np.sin(turn)], 1), "#c6d0da")
+    for behind, size, alpha in ((True, 5, 0.25), (False, 9, 0.6)):
+        chosen = (depth < 0) == behind
+        ax.scatter(x[chosen], y[chosen], s=size, color=PALETTE[0], alpha=alpha, lw=0, zorder=3)
+    ax.plot(x[-15:], y[-15:], "-", color=PALETTE[1], lw=1.5, alpha=0.9, zorder=4)
+    ax.plot(x[-1], y[-1], "o", color=PALETTE[1], ms=9, mec="white", zorder=6)
+    if target is not None:
+        across, up, _ = _seen(np.atleast_2d(target))
+        ax.plot(across, up, "*", color="k", ms=14, mec="white", zorder=5)
+    return fig
+
+
+def _seen(points: np.ndarray) -> np.ndarray:
+    """Coordinates across, up and towards the eye, each (T,), from a little above the equator."""
+    eye = np.array([0.78, -0.45, 0.43]) / np.linalg.norm([0.78, -0.45, 0.43])
+    across = np.cross([0, 0, 1], eye) / np.linalg.norm(np.cross([0, 0, 1], eye))
+    return np.stack([across, np.cross(eye, across), eye]) @ points.T
+
+
+def _line(ax, points: np.ndarray, colour: str) -> None:
+    x, y, depth = _seen(points)
+    ax.plot(np.where(depth >= 0, x, np.nan), y, color=colour, lw=1)
+    ax.plot(np.where(depth < 0, x, np.nan), y, color=colour, lw=0.5, ls=":")
