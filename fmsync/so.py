@@ -9,7 +9,8 @@ ours divided by √2.
 import numpy as np
 from scipy.linalg import expm, schur
 
-_OFF_DIAGONAL_TOLERANCE = 1e-11  # above it the fast eigenbasis of `log` is not trusted and the Schur form is used
+# Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
+_SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
 
 
 def transpose(a: np.ndarray) -> np.ndarray:
@@ -140,10 +141,11 @@ def cayley(omega: np.ndarray) -> np.ndarray:
 def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations: the skew-symmetric Ω with eigen-angles in [-π, π] and exp Ω = R.
 
-    R is normal, so one Hermitian eigenproblem of :math:`H = (e^{-i\varphi}R + e^{i\varphi}R^\top)/2` diagonalises the
-    whole batch; its eigenvalues are cos(θ - φ). Where two angles are mirror images about φ, or an angle is π, H has a
-    degenerate pair: such matrices are found by their off-diagonal rest and redone one by one from the real Schur form.
-    At an eigen-angle of exactly π (the cut locus) the logarithm is not unique; one of the shortest is returned.
+    The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
+    :math:`f(S)\,K` with f(cos θ) = θ / sin θ, from one symmetric eigenproblem for the whole batch. Near θ = π, where f
+    grows without bound, the product is no longer skew to the last digits: such matrices are redone one by one from the
+    real Schur form. At an eigen-angle of exactly π (the cut locus) the logarithm is not unique; one of the shortest is
+    returned.
 
     Parameters
     ----------
@@ -166,17 +168,18 @@ def log(r: np.ndarray) -> np.ndarray:
     r = np.asarray(r, dtype=float)
     n = r.shape[-1]
     flat = r.reshape(-1, n, n)
-    phase = np.exp(-0.7j)  # any angle would do that no family of rotations prefers
-    half = phase * flat
-    _, u = np.linalg.eigh((half + np.conj(transpose(half))) / 2)
-    u_h = np.conj(transpose(u))
-    diagonalised = u_h @ flat @ u
-    eigenvalues = np.diagonal(diagonalised, axis1=-2, axis2=-1).copy()  # (B, n), e^{iθ}
-    diagonalised[:, np.arange(n), np.arange(n)] = 0
-    omega = (u * (1j * np.angle(eigenvalues))[:, None, :]) @ u_h
-    rest = np.abs(diagonalised).max(axis=(-2, -1), initial=0) + np.abs(omega.imag).max(axis=(-2, -1), initial=0)
-    omega = skew(omega.real)
-    for index in np.flatnonzero(~(rest < _OFF_DIAGONAL_TOLERANCE)):
+    turning = skew(flat)
+    cosine, v = np.linalg.eigh(sym(flat))
+    turned = turning @ v
+    sine = np.sqrt((turned**2).sum(axis=-2))  # (B, n)
+    angle = np.arctan2(sine, cosine)
+    ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
+    rough = (v * ratio[:, None, :]) @ transpose(turned)  # -f(S) K
+    omega = skew(-rough)
+    trusted = (np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE) & (
+        angle.max(axis=-1, initial=0) < _MOST
+    )
+    for index in np.flatnonzero(~trusted):
         omega[index] = _log_schur(flat[index])
     return omega.reshape(r.shape)
 

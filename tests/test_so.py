@@ -105,7 +105,7 @@ class TestLog:
             [0.7, 0.7, 0.7],
             [0.0, 0.0, 2.0],
             [0.9, np.pi - 0.9, 0.1],
-            [0.7 + 0.4, 0.7 - 0.4, 2.0],  # mirror images about the angle φ of the fast path
+            [np.pi - 2e-3, np.pi - 1e-3, 2.0],  # two planes whose cosines nearly agree, where θ / sin θ is steep
             [np.pi - 1e-8, np.pi - 1e-8, np.pi - 1e-8],
         ],
     )
@@ -115,6 +115,12 @@ class TestLog:
         np.testing.assert_allclose(so.exp(omega), r, atol=1e-7)
         assert np.linalg.norm(omega) == pytest.approx(np.sqrt(2) * np.linalg.norm(angles), abs=1e-6)
         np.testing.assert_allclose(omega, -omega.T, atol=1e-12)
+
+    @pytest.mark.parametrize("gap", [0.3, 3e-2, 1e-3])
+    def test_two_planes_near_the_cut_locus_keep_their_digits(self, rng, gap):
+        for _ in range(20):
+            r, omega = rotation_with_angles([np.pi - gap, np.pi - 0.6 * gap, 0.4, 2.0, 1.0], rng)
+            np.testing.assert_allclose(so.log(r), omega, atol=3e-11)
 
     def test_identity_and_batches(self):
         assert np.abs(so.log(np.eye(6))).max() < 1e-12
