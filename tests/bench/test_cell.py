@@ -3,8 +3,10 @@
 import time
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+import threadpoolctl
 
 from fmsync.bench import cell as cells
 from fmsync.bench import methods
@@ -82,6 +84,22 @@ def test_peak_memory_is_the_method_s_own():
         assert 60 < values(cells.run_cell(cell("trick-memory")))["peak_memory"] < 80
     finally:
         methods._REGISTRY.pop("trick-memory")
+
+
+def test_a_cell_has_one_thread():
+    @methods.method("trick-threads")
+    def threads(problem, *, rng):
+        blas = max(pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas")
+        seen.append((blas, numba.config.NUMBA_NUM_THREADS))
+        return methods.Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
+
+    seen, before = [], numba.config.NUMBA_NUM_THREADS
+    try:
+        assert cells.run_cell(cell("trick-threads"))["status"] == "ok"
+        assert set(seen) == {(1, 1)}
+        assert numba.config.NUMBA_NUM_THREADS == before
+    finally:
+        methods._REGISTRY.pop("trick-threads")
 
 
 def test_a_failure_keeps_its_traceback():

@@ -1,0 +1,70 @@
+"""pyFM on the bases, descriptors, samples and sizes of the pipeline for own shapes."""
+
+import time
+
+import numpy as np
+
+from fmsync._threads import single_threaded_blas
+from fmsync.pipeline import SyncedShapes
+from fmsync.pipeline.pairwise import FINE
+
+_STEP = 5
+
+
+def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
+    """Errors and CPU seconds: fit, ZoomOut of it, and Consistent ZoomOut from its fit and from our matches."""
+    from pyFM.FMN import FMN
+    from pyFM.functional import FunctionalMapping
+    from pyFM.mesh import TriMesh
+    from pyFM.refine.zoomout import zoomout_refine
+    from scipy import sparse
+
+    n, size, clock = synced.problem.n, synced.refined.shape[-1], time.process_time
+    samples, meshes = np.array([s.samples for s in synced.shapes]), []
+    for s in synced.shapes:
+        mesh = TriMesh(s.shape.vertices, s.shape.faces)
+        mesh.eigenvalues, mesh.eigenvectors = np.array(s.basis.eigenvalues), np.array(s.basis.eigenfunctions)
+        mesh.A = sparse.dia_matrix((s.basis.mass[None], [0]), shape=(len(s.basis.mass),) * 2).tocsc()
+        meshes.append(mesh)
+
+    def consistent(start, largest):
+        network = FMN(meshes)
+        network.set_maps({(j, i): c.copy() for (i, j), c in start.items()})
+        network.set_subsample(samples)
+        network.M = n
+        while largest > network.M:
+            network.zoomout_iteration(
+                int(0.9 * network.M), network.M, min(network.M + _STEP, largest), weight_type="icsm"
+            )
+        return {(i, j): np.array(c) for (j, i), c in network.maps.items()}
+
+    errors, seconds, fitted, refined = {}, {}, {}, {}
+    with single_threaded_blas():
+        began = clock()
+        for i, j in [*synced.edges.tolist(), *synced.edges[:, ::-1].tolist()]:
+            model = FunctionalMapping(meshes[j], meshes[i])  # pyFM maps from its first mesh: our C_ij has j first
+            model.add_descriptors(synced.shapes[j].descriptors, synced.shapes[i].descriptors)
+            model.fit(K=(n, n))  # its own default weights
+            fitted[i, j] = model.FM_12
+        seconds["pyFM fit, every pair both ways"] = clock() - began
+        began = clock()
+        for i, j in pairs:
+            at_j, at_i = (synced.shapes[k].basis.eigenfunctions for k in (j, i))
+            steps, subsample = (size - n) // _STEP, (samples[j], samples[i])
+            refined[i, j] = zoomout_refine(fitted[i, j], at_j, at_i, nit=steps, step=_STEP, subsample=subsample)
+        seconds["pyFM ZoomOut, every pair both ways"] = (clock() - began) / len(pairs) * 2 * len(synced.edges)
+        errors["pyFM pairwise"] = judge.mean(pairs, lambda i, j: fitted[i, j])
+        errors["pyFM pairwise + ZoomOut"] = judge.mean(pairs, lambda i, j: refined[i, j])
+        ours = {tuple(e): m.c_ij[:n, :n] for e, m in zip(synced.edges.tolist(), synced.matches)}
+        ours |= {(j, i): c.T for (i, j), c in ours.items()}
+        for name, start, largest in (
+            ("its own fit", fitted, FINE),
+            ("our pairwise maps", ours, FINE),
+            ("our pairwise maps", ours, size),
+        ):
+            key = f"pyFM Consistent ZoomOut to {largest} from {name}"
+            began = clock()
+            maps = consistent(start, largest)
+            seconds[key] = clock() - began
+            errors[key] = judge.mean(pairs, lambda i, j, maps=maps: maps[i, j])
+    return errors, seconds
