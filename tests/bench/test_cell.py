@@ -97,7 +97,7 @@ def test_a_cell_has_one_thread():
     try:
         assert cells.run_cell(cell("trick-threads"))["status"] == "ok"
         assert set(seen) == {(1, 1)}
-        assert numba.config.NUMBA_NUM_THREADS == before
+        assert before == numba.config.NUMBA_NUM_THREADS
     finally:
         methods._REGISTRY.pop("trick-threads")
 
