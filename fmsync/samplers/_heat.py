@@ -1,7 +1,7 @@
 r"""Compiled sweeps of the heat bath: rotations of two columns at a time, exact for densities exp(tr(Fᵀ C)).
 
 Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rotate are rows, contiguous in memory. The
-planes of a map are visited in rounds of disjoint ones: no angle of a round waits for another, and all are drawn at once.
+planes of a map are visited in rounds of disjoint ones, whose angles do not wait for each other: all are drawn at once.
 """
 
 import numba

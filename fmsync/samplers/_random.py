@@ -48,7 +48,7 @@ def uniform(state):
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _exp(x):
-    """e^x for x <= 0, off by less than 3e-14; e^-50 below -50. Plain arithmetic, so that loops around it become vector code."""
+    """e^x for x <= 0, off by less than 3e-14; e^-50 below -50. Of plain arithmetic, for loops of vector code."""
     t = max(x, -50.0) * (1 / 64)
     y = 1 + t * (1 / 5) * (1 + t * (1 / 6) * (1 + t * (1 / 7) * (1 + t * (1 / 8) * (1 + t * (1 / 9)))))
     y = 1 + t * (1 + t * (1 / 2) * (1 + t * (1 / 3) * (1 + t * (1 / 4) * y)))

@@ -8,8 +8,8 @@ is linear in each map: the heat bath applies. Given the maps, with A the symmetr
 
 .. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
 
-drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws, one
-half of them in turn, and eigenvalues by slices. The maps mix more slowly than the stretches: half is enough.
+drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws
+and eigenvalues by slices, half of either in turn. The maps mix more slowly than the stretches: half is enough.
 """
 
 from collections.abc import Callable
@@ -48,29 +48,34 @@ class Stretches:
         p = self._problem
         start, edge, _, forward = p.incidence
         self._age += 1
-        planes = self._halves[self._age % 2]
+        parity = self._age % 2
+        planes = self._halves[parity]
 
         def some(first: int, last: int) -> None:
             chains = (a[first:last] for a in (x, self._vectors, self._values, self.sigma2, self.blocks, states))
-            stretch_chains(*chains, p.edges, p.maps, planes, levels, start, edge, forward)
+            stretch_chains(*chains, p.edges, p.maps, planes, parity, levels, start, edge, forward)
 
         share(some, len(x))
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_chains(x, vectors, values, sigma2, blocks, states, edges, maps, planes, levels, start, edge, forward):
+def stretch_chains(
+    x, vectors, values, sigma2, blocks, states, edges, maps, planes, parity, levels, start, edge, forward
+):
     """:func:`stretch_step` for every chain, σ² and blocks written."""
     stretched, ones = np.empty(maps.shape), np.ones(len(maps))
     for k in range(len(x)):
         sigma2[k] = stretch_step(
-            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, stretched, states[k]
+            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, parity, stretched, states[k]
         )
         node_blocks(stretched, ones, start, edge, forward, blocks[k])
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, stretched, state):
-    """All edges of one chain in place, in rounds of disjoint planes; C P goes to ``stretched`` (E, n, n).
+def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, parity, stretched, state):
+    """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
+
+    C P goes to ``stretched`` (E, n, n).
 
     Returns σ².
     """
@@ -93,7 +98,7 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, stretc
                 rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
                 diagonal[a] += vectors[e, a, b] * product[a, b]
         at = rotate_eigenvectors(rows, diagonal, values[e], sigma2, planes, angles, state, pool, at)
-        draw_eigenvalues(values[e], diagonal, sigma2, state)
+        draw_eigenvalues(values[e], diagonal, sigma2, parity, state)
         for a in range(n):
             quadratic += values[e, a] * values[e, a]
             linear += values[e, a] * diagonal[a]
@@ -168,14 +173,14 @@ def _log_density(squares, least, x, mean, sigma2):
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_eigenvalues(values, diagonal, sigma2, state):
-    r"""One slice an eigenvalue, by the density
+def draw_eigenvalues(values, diagonal, sigma2, parity, state):
+    r"""One slice for every other eigenvalue, from number ``parity`` on, by the density
 
     :math:`\prod_{c\ne k}(\lambda+\lambda_c)|\lambda-\lambda_c|\;e^{-(\lambda-B_{kk})^2/2\sigma^2}`.
     """
     width = 2 * np.sqrt(sigma2)
     squares = np.empty(len(values) - 1)
-    for k in range(len(values)):
+    for k in range(parity, len(values), 2):
         least = np.inf
         for c in range(len(values)):
             if c != k:

@@ -14,7 +14,7 @@ from fmsync.samplers._random import generators
 from fmsync.samplers._stretch import Stretches
 
 _POLISH_EVERY = 200  # sweeps between two repairs of orthogonality and of the running energy
-# Below these a thread costs more to wake than it saves: of all maps together, N n² (n + 30); of a colour, nodes a thread.
+# Below these a thread costs more to wake than it saves: N n² (n + 30) of all chains; of a colour, its nodes a thread.
 _WORTH_SHARING, _LEAST_COLOUR = 3e5, 4
 _SETTLE = 100  # sweeps of the warm-up before an unknown noise level moves: chains from random maps must order first
 

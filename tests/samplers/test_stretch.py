@@ -34,7 +34,17 @@ def test_stretches_of_one_edge_against_quadrature(sigma2, angle):
     for r in range(repeats):
         for t in range(count):
             _stretch.stretch_step(
-                x, np.array([[0, 1]]), observed, vectors, eigenvalues, sigma2, False, _heat.rounds(2), stretched, state
+                x,
+                np.array([[0, 1]]),
+                observed,
+                vectors,
+                eigenvalues,
+                sigma2,
+                False,
+                _heat.rounds(2),
+                t % 2,
+                stretched,
+                state,
             )
             p = observed[0].T @ stretched[0]
             values[r, t] = p[0, 0], p[1, 1], p[0, 1], p[0, 0] * p[1, 1]
@@ -49,8 +59,8 @@ def test_eigenvalues_of_many_dimensions_stay_in_the_region():
     """Far more factors than a double holds: the density must not overflow."""
     n, state = 150, generator(1)
     values, centre = np.linspace(0.5, 40.0, n), np.full(n, 1.0)
-    for _ in range(5):
-        _stretch.draw_eigenvalues(values, centre, 9.0, state)
+    for k in range(10):
+        _stretch.draw_eigenvalues(values, centre, 9.0, k % 2, state)
     assert np.isfinite(values).all()
     assert np.sort(values)[:2].sum() > 0
     assert np.ptp(values) > 1
