@@ -1,15 +1,12 @@
 """Point answers: every estimator is one file here, registered by name, called through :func:`solve`."""
 
-import difflib
-import importlib
-import inspect
-import pkgutil
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from fmsync._registry import Registry
 from fmsync._threads import single_threaded_blas
 from fmsync.estimators._groups import nearest
 from fmsync.problem import SyncProblem, energy, fix_gauge, relative_maps
@@ -18,7 +15,7 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 
 _FAR = 0.5  # distortion of a map above which its user is warned; a map with a quarter of its rank missing has it
 
-_REGISTRY: dict[str, Callable] = {}
+_REGISTRY = Registry("estimator", __name__, given=("problem", "rng", "callback"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +92,7 @@ class Estimate:
 
 def estimator(name: str) -> Callable:
     """Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name."""
-
-    def register(function: Callable) -> Callable:
-        _REGISTRY[name] = function
-        return function
-
-    return register
+    return _REGISTRY.register(name)
 
 
 def methods() -> list[str]:
@@ -112,10 +104,7 @@ def methods() -> list[str]:
     >>> "spectral" in fmsync.methods()
     True
     """
-    for package in (__name__, "fmsync.bench.peers"):
-        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-            importlib.import_module(f"{package}.{module.name}")
-    return sorted(_REGISTRY)
+    return _REGISTRY.names()
 
 
 def solve(
@@ -169,15 +158,7 @@ def solve(
     >>> fmsync.solve(p, "mle").cost < 1e-20
     True
     """
-    if method not in _REGISTRY and method not in (names := methods()):  # looks through the folder only when it must
-        close = difflib.get_close_matches(method, names)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
-        raise ValueError(f"method: no estimator is called {method!r}; {hint}")
-    function = _REGISTRY[method]
-    known = [name for name in inspect.signature(function).parameters if name not in ("problem", "rng", "callback")]
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
+    function, known = _REGISTRY.find(method, options)
     generator = np.random.default_rng(rng)
     if restarts is not None:
         if "init" not in known:

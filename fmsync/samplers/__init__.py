@@ -11,17 +11,14 @@ chains that advance as one batch. It offers
 - ``advice``: what to do when a chain diverges.
 """
 
-import difflib
-import importlib
-import inspect
-import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from fmsync import so
+from fmsync._registry import Registry
 from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate, solve, starting_point
 from fmsync.problem import LangevinPrior, SyncProblem, anchored
@@ -32,18 +29,13 @@ __all__ = ["Posterior", "concentration", "methods", "sample", "sampler", "with_a
 
 Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains, N, n, n), energy (chains,))
 
-_REGISTRY: dict[str, type] = {}
+_REGISTRY = Registry("sampler", __name__, given=("problem", "start", "rng", "prior"))
 _CHECK_EVERY = 50  # warm-up steps between two looks at the energy
 
 
 def sampler(name: str) -> Callable[[type], type]:
     """Register a sampler class under a name."""
-
-    def register(kind: type) -> type:
-        _REGISTRY[name] = kind
-        return kind
-
-    return register
+    return _REGISTRY.register(name)
 
 
 def methods() -> list[str]:
@@ -55,10 +47,7 @@ def methods() -> list[str]:
     >>> "rlfm" in fmsync.samplers.methods()
     True
     """
-    for package in (__name__, "fmsync.bench.peers"):
-        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-            importlib.import_module(f"{package}.{module.name}")
-    return sorted(_REGISTRY)
+    return _REGISTRY.names()
 
 
 def sample(
@@ -131,7 +120,7 @@ def sample(
     >>> post.absolute.shape, post.relative_mean().shape
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
-    kind = _lookup(method, options)
+    kind, _ = _REGISTRY.find(method, options)
     for name, count, least in (
         ("n_chains", n_chains, 1),
         ("n_draws", n_draws, 1),
@@ -213,20 +202,6 @@ def with_anchor(
         return problem, start
     anchor = np.broadcast_to(np.eye(problem.n), (len(start), 1, problem.n, problem.n))
     return anchored(problem, prior, kappa), np.concatenate([start, anchor], axis=1)
-
-
-def _lookup(method: str, options: Mapping[str, object]) -> type:
-    names = methods()
-    if method not in _REGISTRY:
-        close = difflib.get_close_matches(method, names)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
-        raise ValueError(f"method: no sampler is called {method!r}; {hint}")
-    kind = _REGISTRY[method]
-    known = [name for name in inspect.signature(kind).parameters if name not in ("problem", "start", "rng", "prior")]
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
-    return kind
 
 
 def _starts(problem: SyncProblem, init, n_chains: int, rng: np.random.Generator) -> np.ndarray:
