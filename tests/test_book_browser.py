@@ -39,7 +39,10 @@ AXE = next(Path(util.find_spec("axe_playwright_python").origin).parent.glob("axe
 PAGES = sorted(
     p.relative_to(HTML).as_posix() for p in HTML.rglob("*.html") if "_static" not in p.parts and p.name != "index.html"
 )
-SCENES = [p for p in PAGES if 'class="fm-scene"' in (HTML / p).read_text(encoding="utf-8")]
+_HOLDS = {
+    mark: [p for p in PAGES if mark in (HTML / p).read_text(encoding="utf-8")] for mark in ("fm-scene", "fm-moving")
+}
+SCENES, LOOPS = _HOLDS["fm-scene"], _HOLDS["fm-moving"]
 
 pytestmark = pytest.mark.browser
 
@@ -114,6 +117,7 @@ def test_page_is_seen_read_printed_and_used_by_everyone(opened, name):
     for image in page.evaluate(_IMAGES):
         assert image["alt"].strip(), f"no alt text: {image['src'][:80]}"
         assert image["width"] > 0, f"not loaded: {image['src'][:80]}"
+        assert not image["moves"] or len(image["src"]) < 400_000, f"more than 300 kB: {image['alt']}"
         pixels = _read(image["src"])
         assert pixels is None or pixels.std() > 3, f"blank: {image['alt']}"
     page.set_viewport_size(SHEET)
@@ -162,7 +166,7 @@ _COLOURS = """() => {
 _IMAGES = """() => Promise.all([...document.images].map(async (i) => {
   i.loading = "eager";
   await i.decode().catch(() => {});
-  return { alt: i.alt, src: i.src, width: i.naturalWidth };
+  return { alt: i.alt, src: i.src, width: i.naturalWidth, moves: i.classList.contains("fm-loop") };
 }))"""
 # what would be lost on a sheet of this size: white text, live scenes, folded solutions, what is too wide or too tall
 _ON_PAPER = """({ width, height }) => {
@@ -195,14 +199,14 @@ def _contrast(ink: str, paper: str) -> float:
 
 
 def _read(source: str) -> np.ndarray | None:
-    """Pixels of an image of the page; None for drawings (SVG)."""
+    """Grey levels of an image of the page (of its first frame, if it moves); None for drawings (SVG)."""
     if "image/svg" in source[:30] or source.endswith(".svg"):
         return None
     if source.startswith("data:"):
         data = base64.b64decode(source.split(",", 1)[1])
     else:
         data = Path(unquote(urlsplit(source).path)).read_bytes()
-    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), dtype=float)
+    return np.asarray(Image.open(io.BytesIO(data)).convert("L"))
 
 
 def _serious_violations_of_axe(page) -> None:
@@ -296,6 +300,24 @@ def test_print_makes_a_pdf_of_many_sheets(opened):
     pdf = page.pdf(format="A4")
     assert 5 < len(re.findall(rb"/Type\s*/Page\b", pdf)) < 30
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"  # and the screen is as before
+
+
+def test_loops_rest_for_those_who_wish_it(opened):
+    if not LOOPS:
+        _absent("no page has a loop")
+    page = opened(LOOPS[0], WIDE, "light")
+    figure = page.locator(".fm-moving").first
+    loop, still = figure.locator(".fm-loop"), figure.locator(".fm-still")
+    assert loop.is_visible()
+    assert not still.is_visible()
+    figure.locator("button").click()
+    assert still.is_visible()
+    assert not loop.is_visible()
+    figure.locator("button").click()
+    assert loop.is_visible()
+    page.emulate_media(reduced_motion="reduce")
+    assert still.is_visible()
+    assert not loop.is_visible()
 
 
 def test_search_finds_a_word_from_disk(opened):
