@@ -27,7 +27,7 @@ class HeatBath:
     two of its columns are rotated is von Mises. A sweep visits every pair of columns of every map: once to reflect the
     angle about the mode (over-relaxation, which moves far at the same density) and once to draw it.
 
-    On several cores chains run side by side, or, when they are fewer than the cores, nodes of one graph colour. The draws
+    On several cores chains run side by side, or, when they are fewer than the cores, nodes of one graph colour. Draws
     do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``).
 
     Parameters
