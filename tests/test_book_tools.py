@@ -2,10 +2,12 @@
 
 import importlib.util
 import os
+import sys
 import zipfile
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
@@ -15,11 +17,13 @@ ROOT = Path(__file__).resolve().parents[1]
 def _load(path: str):
     spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
 
 
 zip_book = _load("scripts/zip_book.py")
+overview = _load("scripts/draw_overview.py")
 sync_notebooks = _load("scripts/sync_notebooks.py")
 status = _load("book/_ext/fmsync_status.py")
 book = _load("book/_ext/fmsync_book.py")
@@ -120,3 +124,21 @@ def test_binder_installs_the_lock_file_and_the_packages_of_the_readme():
     version = (binder / "runtime.txt").read_text().strip().removeprefix("python-")
     assert f"--python-version {version} " in (ROOT / "requirements.txt").read_text()
     assert os.access(binder / "postBuild", os.X_OK)
+
+
+def test_pictures_stay_small():
+    pictures = sorted((ROOT / "book" / "images").glob("*.png"))
+    assert len(pictures) == 4
+    assert all(picture.stat().st_size < 150_000 for picture in pictures)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")  # a short chain will do here
+def test_the_picture_tells_the_truth():
+    story = overview.compute(n_vertices=1000, n_draws=60, warmup=60)
+    assert story.loop_error["synchronised"] < 1e-9 < 1 < story.loop_error["observed"]
+    assert story.spread.shape == (story.shapes[-1].n_vertices,)
+    assert (story.spread > 0).all()
+    home = story.colours["observed"][0]
+    off = {name: np.abs(colours[-1] - home).mean() for name, colours in story.colours.items()}  # same vertex order
+    assert off["synchronised"] < 0.7 * off["observed"]
