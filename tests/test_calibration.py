@@ -117,13 +117,13 @@ def test_a_wrong_temperature_fails(factor):
 
 
 def ball_levels(n_problems, noise, **options):
-    """(P, M) levels of the truths of all pairs of six shapes with six basis functions."""
+    """(P, M) levels of the truths of all pairs of six shapes with four basis functions."""
     rows = []
     for seed in range(n_problems):
-        truth = data_gen.planted(6, 6, rng=[seed, 1])
+        truth = data_gen.planted(6, 4, rng=[seed, 1])
         p = data_gen.perturb(truth, rng=[seed, 2], **noise)
         post = fmsync.sample(p, "heat-bath", n_chains=2, n_draws=200, warmup=120, rng=seed, **options)
-        draws = post.relative().reshape(-1, p.n_edges, 6, 6)
+        draws = post.relative().reshape(-1, p.n_edges, 4, 4)
         rows.append([calibration.ball_level(draws[:, e], c) for e, c in enumerate(truth.maps)])
     return np.array(rows)
 

@@ -1,8 +1,10 @@
 """Replica exchange on a loop that contradicts itself: two modes, equally likely by symmetry."""
 
+import networkx as nx
 import numpy as np
 import pytest
 
+import data_gen
 import fmsync
 from fmsync import so
 from fmsync.samplers.tempered import Tempered
@@ -50,6 +52,46 @@ def test_a_single_chain_stays_in_one_mode_at_the_same_energy(n):
     (a, a_error), (b, b_error) = mean_and_error(stuck.energy), mean_and_error(crossing.energy)
     assert abs(a - b) < 4 * np.hypot(a_error, b_error)
     assert np.hypot(a_error, b_error) < 0.05 * a
+
+
+def test_left_and_right_of_symmetric_shapes_are_crossed():
+    """Six shapes in a ring, one map of six mirrored: in the odd plane the loop closes to the left or to the right."""
+    truth = data_gen.planted(6, 4, nx.cycle_graph(6), rng=0)
+    p = data_gen.perturb(truth, 0.0, 1, outliers=1 / 6, outlier_kind="flip")
+    a, b = np.flatnonzero(np.diag(truth.flip) < 0)
+    options = {"kappa": KAPPA, "n_chains": 8, "n_draws": 400, "warmup": 300, "thin": 2, "init": "random", "rng": 2}
+    shares = []
+    for method in ("heat-bath", "tempered"):
+        maps = fmsync.sample(p, method, **options).relative([[0, 3]])[:, :, 0]
+        turn = truth.relative([[0, 3]])[0].T @ maps
+        shares.append((turn[..., b, a] > turn[..., a, b]).mean(axis=1))
+    alone, tempered = shares
+    assert ((alone < 0.02) | (alone > 0.98)).all()
+    assert 0 < (alone > 0.5).mean() < 1  # the starts decide
+    assert abs(tempered.mean() - 0.5) < 4 * tempered.std(ddof=1) / np.sqrt(8)
+    assert tempered.std(ddof=1) / np.sqrt(8) < 0.08
+
+
+def test_few_landmarks_tip_the_odds_as_they_should():
+    """On SO(2) the share of a mode is an integral over the angle between two nodes: two paths and the landmarks."""
+    ring, angle, weight = twisted_ring(2), 0.6, 0.05
+    landmarks = so.exp(np.array([[0.0, -angle], [angle, 0.0]]))
+    p = fmsync.SyncProblem(
+        8,
+        np.concatenate([ring.edges, [[0, 4]]]),
+        np.concatenate([ring.maps, landmarks[None]]),
+        np.append(np.ones(8), weight),
+    )
+    grid = np.linspace(-np.pi, np.pi, 2048, endpoint=False)
+    path = np.fft.ifft(np.fft.fft(np.exp(2 * KAPPA * (np.cos(np.fft.ifftshift(grid)) - 1))) ** 4).real  # of four edges
+    density = path * np.roll(path, len(grid) // 2) * np.exp(2 * KAPPA * weight * np.cos(np.fft.ifftshift(grid) - angle))
+    left = density[np.fft.ifftshift(grid) > 0].sum() / density.sum()
+    assert 0.55 < left < 0.9
+    post = fmsync.sample(p, "tempered", kappa=KAPPA, n_chains=16, n_draws=500, warmup=400, thin=2, rng=0)
+    turn = post.relative([[0, 4]])[:, :, 0]
+    share, error = mean_and_error(turn[..., 1, 0] > turn[..., 0, 1])
+    assert abs(share - left) < 4 * error
+    assert error < 0.03
 
 
 def test_energies_on_every_rung_are_those_of_their_temperature():
