@@ -1,8 +1,10 @@
 """Tables of results: Table 1 cell by cell beside the paper's, and a scoreboard of any suite."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from fmsync.bench import results
@@ -10,6 +12,7 @@ from fmsync.bounds import recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["observed", "spectral", "posterior mean", "Langevin posterior mean"]
+_MOST_PANELS = 6
 _SCORES = ("edge_error", "seconds", "cpu_seconds", "peak_memory")
 
 
@@ -67,6 +70,41 @@ def readings(frame: pd.DataFrame) -> list[dict]:
     rows = rows.assign(two_way=rows.two_way.eq(True), around=rows.around.fillna("consistent"))  # absent: the default
     found = [{"n_nodes": int(n), "two_way": bool(t), "around": a} for n, t, a in rows.itertuples(index=False)]
     return [dict(reading) for reading in dict.fromkeys(tuple(reading.items()) for reading in found)]
+
+
+def reading_name(n_nodes: int, two_way: bool, around: str) -> str:
+    """A reading of the protocol in words.
+
+    Examples
+    --------
+    >>> from fmsync.bench.report import reading_name
+    >>> reading_name(4, False, "consistent")
+    'N = 4, one observation of a pair, noise around consistent maps'
+    """
+    observations = "two observations" if two_way else "one observation"
+    return f"N = {n_nodes}, {observations} of a pair, noise around {around} maps"
+
+
+def standings(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Every method on every suite: its error over that of the best method, the geometric mean over the problems.
+
+    Parameters
+    ----------
+    boards
+        Tables of :func:`scoreboard` by the name of their suite. Methods without error see the truth and do not count.
+
+    Returns
+    -------
+    DataFrame
+        label in rows, suites in columns; 1 is the best of all on every problem, NaN did not take part.
+    """
+    columns = {}
+    for name, board in boards.items():
+        rows = board[board.error > 0]
+        over = np.log(rows.error / rows.groupby("problem").error.transform("min"))
+        columns[name] = np.exp(over.groupby(rows.label).mean())
+    table = pd.DataFrame(columns)
+    return table.loc[table.mean(axis=1).sort_values().index].rename_axis("label")
 
 
 def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
@@ -131,9 +169,8 @@ def _reading(frame: pd.DataFrame, n_nodes: int, two_way: bool, around: str) -> p
 
 def _text_of_table1(frame: pd.DataFrame, reading: dict) -> str:
     table = table1(frame, **reading)
-    observations = "two observations" if reading["two_way"] else "one observation"
     head = (
-        f"N = {reading['n_nodes']}, {observations} of a pair, noise around {reading['around']} maps\n"
+        f"{reading_name(**reading)}\n"
         "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery threshold"
     )
     cells = {}
@@ -174,9 +211,15 @@ def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
     drawn = {}
     if frame.suite.str.startswith("paper").all():
         drawn = {f"table1_{_slug(reading)}": figures.errors(table1(frame, **reading)) for reading in readings(frame)}
+        tables = {reading_name(**reading): table1(frame, **reading) for reading in readings(frame)}
+        drawn |= {"density": figures.density(tables)}
         drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
     else:
-        drawn["scoreboard"] = figures.error_against_seconds(scoreboard(frame))
+        board = scoreboard(frame)
+        first = board.problem.drop_duplicates()[:_MOST_PANELS]
+        drawn["scoreboard"] = figures.error_against_seconds(board[board.problem.isin(first)])
+        if frame.metric.eq("point_curve").any():
+            drawn["points"] = figures.point_curves(frame)
     paths = []
     for name, figure in drawn.items():
         paths.append(folder / f"{frame.suite.iloc[0]}_{name}.png")

@@ -164,7 +164,29 @@ def test_scoreboard_ranks_and_counts_failures():
     assert board.error.tolist()[:2] == [1.5, 3.5]
     assert board.failed.tolist() == [0, 0, 1]
     drawn = figures.error_against_seconds(board).axes[0]
-    assert [tuple(line.get_data()) for line in drawn.lines] == [([0.1], [1.5]), ([0.1], [3.5])]
+    assert [tuple(map(list, line.get_data())) for line in drawn.lines] == [([0.1, 0.1], [1.5, 3.5])]
+    heights = {text.get_text(): text.get_position()[1] for text in drawn.texts}
+    assert list(heights) == ["good", "bad"]  # who failed has no place
+    assert 0 <= heights["good"] < heights["bad"] <= 1
+
+
+def test_standings_are_relative_to_the_best():
+    rows = [frame([2.0], "a", sigma2=0.1), frame([8.0], "b", sigma2=0.1), frame([0.0], "oracle", sigma2=0.1)]
+    rows += [frame([3.0], "a", sigma2=0.2), frame([1.5], "b", sigma2=0.2)]
+    table = report.standings({"one": report.scoreboard(pd.concat(rows)), "two": report.scoreboard(frame([5.0], "b"))})
+    assert table.index.tolist() == ["a", "b"]
+    np.testing.assert_allclose(table["one"], [2**0.5, 2.0])  # a: 1 and 2; b: 4 and 1
+    np.testing.assert_allclose(table["two"], [np.nan, 1.0])
+
+
+def test_names_beside_a_figure_stay_apart_and_in_order():
+    board = report.scoreboard(pd.concat([frame([1.0 + 1e-3 * k], f"m{k}") for k in range(12)]))
+    texts = figures.error_against_seconds(board).axes[0].texts
+    heights = np.array([text.get_position()[1] for text in texts])
+    assert len(heights) == 12
+    assert (np.diff(heights) > 0.05).all()
+    assert heights.min() >= 0
+    assert heights.max() <= 1
 
 
 def test_figures_show_the_tables(paper, tmp_path):
@@ -172,6 +194,7 @@ def test_figures_show_the_tables(paper, tmp_path):
     assert {path.name for path in paths} == {
         "paper_table1_4_one_consistent.png",
         "paper_table1_4_one_measured.png",
+        "paper_density.png",
         "paper_convergence.png",
         "paper_oracle.png",
     }
