@@ -77,6 +77,22 @@ def test_geodesic_energy_on_the_circle():
     assert error < 0.02
 
 
+@pytest.mark.parametrize("integrator", ["cayley", "exp"])
+@pytest.mark.parametrize("method", ["hmc", "mala"])
+def test_geodesic_energy_on_rotations_of_space(method, integrator):
+    """On SO(3) the angle has density (1 - cos θ) exp(-2 β θ²) on [0, π]; the cut locus is often met."""
+    beta, thin = 0.2, 6 if method == "mala" else 1
+    post = fmsync.sample(
+        one_edge(3), method, energy="geodesic", beta=beta, integrator=integrator, n_chains=64, n_draws=150,
+        warmup=150, thin=thin, init="random", rng=7,
+    )  # fmt: skip
+    angle = np.linspace(0, np.pi, 20_001)
+    weight = (1 - np.cos(angle)) * np.exp(-2 * beta * angle**2)
+    mean, error = mean_and_error(post.energy / 2)
+    assert abs(mean - weight @ angle**2 / weight.sum()) < 4 * error
+    assert error < 0.05
+
+
 def test_exact_samplers_agree_and_meet_the_stein_identity():
     """Energies and an entry of a relative map by three methods; E ||grad log p||² = (n-1) κ E Σ tr by each."""
     p = noisy(5, 4, two_way=True)

@@ -1,3 +1,6 @@
+import io
+import sys
+
 import numpy as np
 import pytest
 
@@ -82,6 +85,16 @@ def test_ctrl_c_returns_the_draws_so_far(problem, when):
     assert post.interrupted
     np.testing.assert_array_equal(post.absolute, whole.absolute[:, :when])
     assert post.energy.shape == post.kappa.shape == (2, when)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_progress_bar_on_a_terminal_only(problem, monkeypatch, terminal):
+    screen = io.StringIO()
+    screen.isatty = lambda: terminal
+    monkeypatch.setattr(sys, "stderr", screen)
+    fmsync.sample(problem, n_chains=1, n_draws=10, warmup=10, thin=2)
+    assert ("30" in screen.getvalue() and "step" in screen.getvalue()) == terminal
+    assert bool(screen.getvalue()) == terminal
 
 
 def test_ctrl_c_before_the_first_draw_goes_through(problem):
