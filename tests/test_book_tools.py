@@ -74,11 +74,11 @@ def test_every_chapter_is_in_the_contents_once():
 
 def test_status_tells_what_ran_and_what_did_not():
     ran, missing = Path("ran.md"), Path("missing.md")
-    data = {"execution_seconds": 90.2, "machine": "a machine", "shapes": "cats", "system": "Linux"}
+    data = {"execution_seconds": 90.2, "cpu_seconds": 60.0, "machine": "a machine", "shapes": "cats", "system": "Linux"}
     lines = status.status_table({ran: data}, [(ran, "/ran"), (missing, "/missing")])
-    assert "| {doc}`/ran` | 90 | passed |" in lines
-    assert "| {doc}`/missing` | – | not run |" in lines
-    assert "Together 1.5 minutes, one after the other." in lines
+    assert "| {doc}`/ran` | 90 | 60 | passed |" in lines
+    assert "| {doc}`/missing` | – | – | not run |" in lines
+    assert "Together 1.0 CPU-minutes." in lines
     assert "- **Machine:** a machine" in lines
     assert any(line.startswith("- **Versions:** fmsync ") for line in lines)
 

@@ -62,12 +62,13 @@ def records() -> dict[Path, dict]:
 
 def status_table(found: dict[Path, dict], links: list[tuple[Path, str]]) -> list[str]:
     """Lines of Markdown from :func:`records` and the document name of every page."""
-    lines = ["| chapter | seconds | result |", "| --- | ---: | --- |"]
+    lines = ["| chapter | seconds | of CPU | result |", "| --- | ---: | ---: | --- |"]
     for page, link in links:
-        seconds, result = (f"{found[page]['execution_seconds']:.0f}", "passed") if page in found else ("–", "not run")
-        lines.append(f"| {{doc}}`{link}` | {seconds} | {result} |")
-    total = sum(data["execution_seconds"] for data in found.values())
-    lines += ["", f"Together {total / 60:.1f} minutes, one after the other.", ""]
+        data = found.get(page, {})
+        told = [f"{data[key]:.0f}" if key in data else "–" for key in ("execution_seconds", "cpu_seconds")]
+        lines.append(f"| {{doc}}`{link}` | {' | '.join(told)} | {'passed' if page in found else 'not run'} |")
+    total = sum(data.get("cpu_seconds", 0) for data in found.values())  # what another tool executed has no such entry
+    lines += ["", f"Together {total / 60:.1f} CPU-minutes.", ""]
     for name in ("machine", "system", "shapes"):
         values = sorted({data[name] for data in found.values() if name in data}) or ["not known"]
         lines.append(f"- **{name.capitalize()}:** {'; '.join(values)}")
