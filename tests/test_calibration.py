@@ -12,7 +12,7 @@ from fmsync import problem as energies
 from fmsync.samplers._levels import interpolated_log_normaliser, normaliser_table
 
 pytestmark = pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
-N_NODES, KAPPA, N_DRAWS = 5, 4.0, 49
+N_NODES, KAPPA, N_DRAWS = 5, 4.0, 29
 EDGES = np.array([(i, j) for i in range(N_NODES) for j in range(i + 1, N_NODES)])
 
 
