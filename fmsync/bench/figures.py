@@ -45,7 +45,7 @@ def errors(table: pd.DataFrame) -> Figure:
 
 def density(tables: dict[str, pd.DataFrame], label: str = "MLE (2)", sigma2: float = 0.2) -> Figure:
     """Error of one row at one noise level against density: every reading, its expected line dotted, and the paper."""
-    figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, 5.0), layout="constrained")
     axis = figure.subplots()
     for k, (name, table) in enumerate(tables.items()):
         part = table[(table.label == label) & (table.sigma2 == sigma2)].sort_values("density")
@@ -70,19 +70,21 @@ def convergence(frame: pd.DataFrame) -> Figure:
     """Error against iteration, mean over seeds: MLE (2) solid, MLE (1) dashed, what was observed dotted; colour: σ²."""
     figure = Figure(figsize=(_WIDTH, 4.0), layout="constrained")
     axis = figure.subplots()
-    last, highest = 40, 0.0
+    last, drawn = 40, []
     for label, style in (("way of MLE (2)", "-"), ("way of MLE (1)", "--")):
         rows = frame[(frame.label == label) & (frame.metric == "error_at_step") & (frame["at"] <= last)]
         for sigma2, part in rows.groupby("sigma2"):
             ways = part.pivot_table(index="at", columns="seed", values="value")
             mean = ways.reindex(range(last + 1)).ffill().mean(axis=1)  # who has arrived stays there
-            highest = max(highest, mean.max()) if style == "-" else highest
+            drawn += [mean.min(), mean.max() if style == "-" else mean.min()]  # a start off the group is far away
             named = f"σ² = {sigma2:g}" if style == "-" else None
             axis.plot(mean.index, mean, style, color=_of_noise(sigma2), label=named)
     observed = frame[(frame.label == "observed") & (frame.metric == "edge_error") & frame.density.isna()]
     for sigma2, part in observed.groupby("sigma2"):
         axis.plot([0, last], [part.value.mean()] * 2, ":", color=_of_noise(sigma2), lw=1.2)
-    axis.set(xlabel="iteration", ylabel="Frobenius error", xlim=(0, last), ylim=(0, 1.1 * highest))
+        drawn.append(part.value.mean())
+    axis.set(xlabel="iteration", ylabel="Frobenius error", xlim=(0, last))
+    axis.set_ylim(min(drawn, default=0.0) - 0.2, max(drawn, default=1.0) + 0.2)
     figure.legend(loc="outside lower center", ncols=3, fontsize=10)
     return figure
 
