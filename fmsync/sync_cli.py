@@ -3,6 +3,7 @@
 import argparse
 import os
 import shutil
+import sys
 import warnings
 from pathlib import Path
 
@@ -21,9 +22,15 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
         "-o", "--output", required=True, type=Path, metavar="OUT", help="folder that does not exist yet"
     )
     parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="recalibration of the regions, from Recalibration.save (default: one fitted on synthetic cats)",
+    )
     parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
-    parser.add_argument("--refined", type=int, default=50, help="functions of the maps that carry points (%(default)s)")
-    parser.add_argument("--samples", type=int, default=600, help="samples of each shape (%(default)s)")
+    parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")
+    parser.add_argument("--samples", type=int, default=1000, help="samples of each shape (%(default)s)")
     parser.add_argument("--draws", type=int, default=1000, help="posterior draws (%(default)s)")
     parser.add_argument("--level", type=float, default=0.9, help="probability of the regions (%(default)s)")
     parser.add_argument(
@@ -36,9 +43,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.pipeline import synchronize_shapes
+    from fmsync.pipeline import Recalibration, synchronize_shapes
+    from fmsync.pipeline.doubts import doubts
     from fmsync.pipeline.output import write_all
     from fmsync.pipeline.reading import mesh_files, read_mesh
+    from fmsync.pipeline.recalibration import shipped
 
     output = options.output
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
@@ -47,35 +56,49 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"--draws: the confidence needs at least one draw, got {options.draws}")
     if not 0 < options.level < 1:
         raise ValueError(f"--level: a probability strictly between 0 and 1, got {options.level}")
+    recalibration = shipped() if options.calibration is None else Recalibration.load(options.calibration)
+    recalibration.scale(options.level)
     shapes = [read_mesh(file) for file in mesh_files(options.meshes)]
     landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
     # Everything is written beside the folder and moved there when complete; finished pairs outlive an interruption.
     partial = output.with_name(output.name + ".partial")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        synced = synchronize_shapes(
-            shapes,
-            n_basis=options.basis,
-            n_refined=options.refined,
-            n_samples=options.samples,
-            graph=options.graph,
-            n_draws=options.draws,
-            landmarks=landmarks,
-            jobs=options.jobs,
-            checkpoint=partial / "pairs",
-            progress=True,
-            rng=options.seed,
-        )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            synced = synchronize_shapes(
+                shapes,
+                n_basis=options.basis,
+                n_refined=options.refined,
+                n_samples=options.samples,
+                graph=options.graph,
+                n_draws=options.draws,
+                landmarks=landmarks,
+                jobs=options.jobs,
+                checkpoint=partial / "pairs",
+                progress=True,
+                rng=options.seed,
+            )
+        except ValueError:  # the input is refused: nothing of it is worth keeping
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
     folder = partial / "output"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    write_all(synced, folder, options.level)
+    write_all(synced, folder, options.level, recalibration, progress=True)
     if output.is_dir():
         output.rmdir()
     os.replace(folder, output)
     shutil.rmtree(partial)
+    for line in dict.fromkeys([*doubts(synced), *_unsaid(caught)]):
+        print(f"fmsync: warning: {line}", file=sys.stderr)
     print(f"{output}/report.html: open it in a browser; README.txt beside it says what the other files are")
     return 0
+
+
+def _unsaid(caught) -> list[str]:
+    """Warnings that are not said in plain words already."""
+    # of other categories: a ConvergenceWarning is one of the doubts, the rest is for programmers
+    return [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
 
 
 def _landmarks(path, shapes):

@@ -2,14 +2,13 @@
 
 The order is used to judge, never to map. A part of the measurements is one command, and adds to one file of results:
 
-``python -m fmsync.bench.own_shapes accuracy tosca_cat``
-    geodesic errors and seconds of every stage beside pyFM on the same bases and samples
+``python -m fmsync.bench.own_shapes collections tosca_cat cats``
+    geodesic errors and CPU seconds of every stage, for the first beside pyFM on the same bases and samples; coverage of
+    regions, as they come and recalibrated on the other collection; errors of the vertices that are kept
 ``... remeshed tosca_cat`` and ``... landmarks tosca_cat``
-    the same on copies with other triangulations, and with four landmarks
-``... confidence tosca_cat cats``
-    coverage of regions, as they come and recalibrated on the other collection; error of the vertices that are kept
+    errors on copies with triangulations and vertex counts of their own, without and with four landmarks
 ``... costs tosca_cat``
-    time and memory from files to report, time of a vertex's images, price of computing on samples
+    time of a vertex's images, price of computing on samples
 ``... planted cats``
     regions where the model is right; flags of two modes where flips were planted
 
@@ -73,13 +72,13 @@ def collection(name: str) -> list[Shape]:
     return generator_function("data_gen:load_collection")(name, **options)
 
 
-def judged(shapes: list[Shape], count: int = 100) -> np.ndarray:
+def judged(shapes: list[Shape], count: int = 80) -> np.ndarray:
     """(N, P) vertices by which shapes of one order are judged."""
     chosen = np.random.default_rng(0).choice(shapes[0].n_vertices, min(count, shapes[0].n_vertices), replace=False)
     return np.tile(chosen, (len(shapes), 1))
 
 
-def remeshed(shapes: list[Shape], places: np.ndarray, share: float = 0.6) -> tuple[list[Shape], np.ndarray]:
+def remeshed(shapes: list[Shape], places: np.ndarray, share: float = 0.2) -> tuple[list[Shape], np.ndarray]:
     """Copies with triangulations of their own, of about ``share`` of the vertices, and the nearest vertices to places.
 
     Quadric decimation, to another number of vertices for each shape.
@@ -102,14 +101,10 @@ def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:
     return [ordered[k] for k in np.linspace(0, len(ordered) - 1, min(most, len(ordered))).astype(int)]
 
 
-def accuracy(shapes: list[Shape], places: np.ndarray, landmarks=None, peers: bool = True) -> dict:
+def accuracy(synced: SyncedShapes, judge: Judge, peers: bool) -> dict:
     """Errors and CPU seconds of every stage, ours and pyFM's, after the bases and descriptors that all share."""
-    began = time.process_time()
-    synced = fmsync.synchronize_shapes(shapes, rng=0, n_draws=0, landmarks=landmarks)
-    seconds = {"pipeline without draws, bases included": time.process_time() - began}
-    judge, pairs = Judge(synced, places), some_pairs(len(shapes))
-    errors, more = stages(synced, judge, pairs)
-    seconds |= more
+    pairs = some_pairs(len(synced.shapes))
+    errors, seconds = stages(synced, judge, pairs)
     if peers:
         from fmsync.bench.own_shapes_peers import pyfm_stages
 
@@ -117,9 +112,9 @@ def accuracy(shapes: list[Shape], places: np.ndarray, landmarks=None, peers: boo
         errors |= theirs
         seconds |= more
     return {
-        "n_shapes": len(shapes),
-        "n_vertices": [s.n_vertices for s in shapes],
-        "n_landmarks": 0 if landmarks is None else len(landmarks[0]),
+        "n_shapes": len(synced.shapes),
+        "n_vertices": [s.shape.n_vertices for s in synced.shapes],
+        "n_landmarks": synced.shapes[0].n_landmarks,
         "n_basis": synced.problem.n,
         "n_refined": synced.refined.shape[-1],
         "n_samples": len(synced.shapes[0].samples),
@@ -143,7 +138,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict]:
         return matches[found[i, j]].c_ij if (i, j) in found else matches[found[j, i]].c_ij.T
 
     def absolute_of(estimate, signs):
-        return estimate.absolute * synchronise._turns(signs, n)[:, None]
+        return estimate.absolute * synchronise.turns(signs, n)[:, None]
 
     def relative(absolute):
         return lambda i, j: absolute[i].T @ absolute[j]
@@ -158,7 +153,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict]:
     plain = absolute_of(fmsync.solve(problem, "mle", tolerance=1e-3), signs)
 
     began = clock()
-    proposed, better = matches, None
+    proposed = matches
     for _ in range(synchronise._ROUNDS):
         estimate, signs, _, _ = synchronise._robust(len(shapes), edges, proposed, n, rng)
         better = relative(absolute_of(estimate, signs))
@@ -231,14 +226,14 @@ def main(arguments: list[str] | None = None) -> None:
     from fmsync.bench import own_shapes_confidence as certainty
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["accuracy", "remeshed", "landmarks", "confidence", "costs", "planted"])
+    parser.add_argument("part", choices=["collections", "remeshed", "landmarks", "costs", "planted"])
     parser.add_argument("collections", nargs="+")
     parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
     options = parser.parse_args(arguments)
     names = [Path(name).name for name in options.collections]
     command = " ".join(["python -m fmsync.bench.own_shapes", options.part, *names])
     loaded = {name: collection(c) for name, c in zip(names, options.collections)}
-    if options.part in ("confidence", "planted"):
+    if options.part in ("collections", "planted"):
         found = getattr(certainty, options.part)(loaded)
     else:
         found = {name: _measured(options.part, shapes) for name, shapes in loaded.items()}
@@ -249,12 +244,11 @@ def _measured(part: str, shapes: list[Shape]) -> dict:
     places = judged(shapes)
     if part == "costs":
         return costs(shapes, places)
-    if part == "remeshed":
-        return accuracy(*remeshed(shapes, places))
-    if part == "landmarks":
-        marks = farthest_points(shapes[0].vertices, N_LANDMARKS)
-        return accuracy(shapes, places, landmarks=[marks] * len(shapes))
-    return accuracy(shapes, places)
+    marks = farthest_points(shapes[0].vertices, N_LANDMARKS)
+    copies, places = remeshed(shapes, np.column_stack([np.tile(marks, (len(shapes), 1)), places]))
+    landmarks = places[:, :N_LANDMARKS] if part == "landmarks" else None
+    synced = fmsync.synchronize_shapes(copies, rng=0, n_draws=0, landmarks=landmarks)
+    return accuracy(synced, Judge(synced, places[:, N_LANDMARKS:]), peers=True)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
     from pyFM.refine.zoomout import zoomout_refine
     from scipy import sparse
 
-    n, size, clock = synced.problem.n, synced.refined.shape[-1], time.process_time
+    n, clock = synced.problem.n, time.process_time
     samples, meshes = np.array([s.samples for s in synced.shapes]), []
     for s in synced.shapes:
         mesh = TriMesh(s.shape.vertices, s.shape.faces)
@@ -27,15 +27,13 @@ def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
         mesh.A = sparse.dia_matrix((s.basis.mass[None], [0]), shape=(len(s.basis.mass),) * 2).tocsc()
         meshes.append(mesh)
 
-    def consistent(start, largest):
+    def consistent(start):
         network = FMN(meshes)
         network.set_maps({(j, i): c.copy() for (i, j), c in start.items()})
         network.set_subsample(samples)
         network.M = n
-        while largest > network.M:
-            network.zoomout_iteration(
-                int(0.9 * network.M), network.M, min(network.M + _STEP, largest), weight_type="icsm"
-            )
+        while network.M < FINE:
+            network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + _STEP, weight_type="icsm")
         return {(i, j): np.array(c) for (j, i), c in network.maps.items()}
 
     errors, seconds, fitted, refined = {}, {}, {}, {}
@@ -50,21 +48,17 @@ def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
         began = clock()
         for i, j in pairs:
             at_j, at_i = (synced.shapes[k].basis.eigenfunctions for k in (j, i))
-            steps, subsample = (size - n) // _STEP, (samples[j], samples[i])
+            steps, subsample = (FINE - n) // _STEP, (samples[j], samples[i])
             refined[i, j] = zoomout_refine(fitted[i, j], at_j, at_i, nit=steps, step=_STEP, subsample=subsample)
         seconds["pyFM ZoomOut, every pair both ways"] = (clock() - began) / len(pairs) * 2 * len(synced.edges)
         errors["pyFM pairwise"] = judge.mean(pairs, lambda i, j: fitted[i, j])
         errors["pyFM pairwise + ZoomOut"] = judge.mean(pairs, lambda i, j: refined[i, j])
         ours = {tuple(e): m.c_ij[:n, :n] for e, m in zip(synced.edges.tolist(), synced.matches)}
         ours |= {(j, i): c.T for (i, j), c in ours.items()}
-        for name, start, largest in (
-            ("its own fit", fitted, FINE),
-            ("our pairwise maps", ours, FINE),
-            ("our pairwise maps", ours, size),
-        ):
-            key = f"pyFM Consistent ZoomOut to {largest} from {name}"
+        for name, start in (("its own fit", fitted), ("our pairwise maps", ours)):
+            key = f"pyFM Consistent ZoomOut to {FINE} from {name}"
             began = clock()
-            maps = consistent(start, largest)
+            maps = consistent(start)
             seconds[key] = clock() - began
             errors[key] = judge.mean(pairs, lambda i, j, maps=maps: maps[i, j])
     return errors, seconds

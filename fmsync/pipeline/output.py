@@ -1,44 +1,61 @@
 """What ``fmsync sync`` leaves behind: point maps, functional maps, meshes with scalars, a report."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from fmsync.pipeline.confidence import Confidence, spread_out
+from fmsync.pipeline.doubts import doubts
+from fmsync.pipeline.recalibration import Recalibration, shipped
 from fmsync.pipeline.report import report
 from fmsync.pipeline.synchronise import SyncedShapes
 
 _README = """\
-report.html         pictures and a summary; everything is in the one file
+report.html         pictures of every pair and a summary; everything is in the one file
 maps.npz            refined (N, m, m) absolute maps, C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges; names
 point_maps/*.npy    NAME_to_{reference}.npy: for each vertex of NAME its vertex of {reference}
-point_maps/*.csv    the same, with radius, spread, entropy and two_modes of every vertex
+point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
 meshes/*.vtp, *.ply every shape with these numbers on its vertices, for ParaView and MeshLab
 edges.csv           every pair: how well distances and orientation are kept, how far the edge was believed
 
-Lengths are in units of the square root of a shape's surface area. radius: the region about the image that holds
-{level:.0%} of the posterior draws. It knows the noise of the maps, not every error of the model: where spread, the mean
-distance to where detours through other shapes lead, is larger, believe the spread. two_modes: two distant places have
-support, as on a left-right symmetric body.
+Lengths are in units of the square root of a shape's surface area.
+region      radius about the image that should hold the truth with probability {level:.0%}; learnt from: {fitted_on}.
+expected    the error to be expected of the image: what to rank vertices by. Drop the largest first.
+radius      radius that holds {level:.0%} of the posterior draws: the noise of the maps alone, smaller than region.
+spread      mean distance to where detours through other shapes lead.
+two_modes   two distant places have support, as on a left-right symmetric body.
 Any other pair: fmsync.synchronize_shapes(...).point_map(i, j).
-"""
+{doubts}"""
 
 
-def write_all(synced: SyncedShapes, folder: Path, level: float = 0.9) -> None:
-    """Write every file into an existing empty folder; point maps lead to the first shape."""
+def write_all(
+    synced: SyncedShapes,
+    folder: Path,
+    level: float = 0.9,
+    recalibration: Recalibration | None = None,
+    progress: bool = False,
+) -> None:
+    """Write every file into an existing empty folder; point maps lead to the first shape, the report shows all pairs.
+
+    ``recalibration`` is :func:`fmsync.pipeline.recalibration.shipped` if left out.
+    """
     reference, names = 0, synced.names
+    recalibration = shipped() if recalibration is None else recalibration
     for part in ("point_maps", "meshes"):
         (folder / part).mkdir()
-    known, tables = {}, {}
+    pairs = list(itertools.permutations(range(len(names)), 2))
+    known = {(i, j): synced.confidence(i, j, level) for i, j in tqdm(pairs, "confidence", disable=not progress)}
+    tables = {}
     for i, name in enumerate(names):
         if i == reference:
             continue
-        known[i] = synced.confidence(i, reference, level)
-        tables[i] = vertex_table(synced, i, reference, known[i])
+        tables[i] = vertex_table(synced, i, reference, known[i, reference], recalibration)
         stem = folder / "point_maps" / f"{name}_to_{names[reference]}"
-        np.save(stem.with_suffix(".npy"), tables[i]["image"].to_numpy())
-        tables[i].to_csv(stem.with_suffix(".csv"), index_label="vertex", float_format="%.5g")
+        np.save(stem.with_name(stem.name + ".npy"), tables[i]["image"].to_numpy())
+        tables[i].to_csv(stem.with_name(stem.name + ".csv"), index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
     draws = synced.posterior.absolute
@@ -50,18 +67,22 @@ def write_all(synced: SyncedShapes, folder: Path, level: float = 0.9) -> None:
         signs=synced.signs,
         names=names,
     )
-    edge_table(synced).to_csv(folder / "edges.csv", index=False, float_format="%.4g")
-    (folder / "README.txt").write_text(_README.format(reference=names[reference], level=level), encoding="utf-8")
-    page = report(synced, tables, edge_table(synced), reference, level)
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    edges = edge_table(synced)
+    edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
+    words = "".join(f"\nDOUBT: {line}\n" for line in doubts(synced))
+    text = _README.format(reference=names[reference], level=level, fitted_on=recalibration.fitted_on, doubts=words)
+    (folder / "README.txt").write_text(text, encoding="utf-8")
+    (folder / "report.html").write_text(report(synced, known, edges, recalibration, level), encoding="utf-8")
 
 
-def vertex_table(synced: SyncedShapes, i: int, j: int, known: Confidence) -> pd.DataFrame:
+def vertex_table(synced: SyncedShapes, i: int, j: int, known: Confidence, recalibration: Recalibration) -> pd.DataFrame:
     """Image on shape j and confidence of every vertex of shape i."""
     shape = synced.shapes[i]
     return pd.DataFrame(
         {
             "image": synced.point_map(i, j),
+            "region": spread_out(shape, recalibration.radius(known)),
+            "expected": spread_out(shape, recalibration.expected(known)),
             "radius": spread_out(shape, known.radius),
             "spread": spread_out(shape, known.spread),
             "entropy": spread_out(shape, known.entropy),
@@ -104,13 +125,13 @@ def _write_mesh(shape, table, stem) -> None:
 
 
 def _write_ply(path, shape, table) -> None:
-    """Binary PLY with the scalars as vertex properties; MeshLab colours by ``quality``, which is the radius."""
+    """Binary PLY with the scalars as vertex properties; MeshLab colours by ``quality``, which is the region."""
     fields = [(axis, "<f4") for axis in "xyz"] + ([] if table is None else [("quality", "<f4"), ("spread", "<f4")])
     rows = np.empty(shape.n_vertices, dtype=fields)
     for k, axis in enumerate("xyz"):
         rows[axis] = shape.vertices[:, k]
     if table is not None:
-        rows["quality"], rows["spread"] = table["radius"], table["spread"]
+        rows["quality"], rows["spread"] = table["region"], table["spread"]
     n_faces = 0 if shape.faces is None else len(shape.faces)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {shape.n_vertices}"]
     header += [f"property float {name}" for name, _ in fields]

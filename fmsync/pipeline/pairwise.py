@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmsync import so
 from fmsync._threads import single_threaded_blas
 from fmsync.functional_map import _nearest, functional_map_from_descriptors
 from fmsync.pipeline.samples import SampledShape
+from fmsync.shape import Basis
 
 _SIGNS = 7  # first eigenfunctions whose signs are all tried: 64 maps
 _ROUGH_SAMPLES, _SAMPLES = 150, 300
-_ROUGH, _FINE = 20, 50  # sizes to which candidates are upsampled before the first and the second choice
+_ROUGH, FINE = 20, 50  # sizes to which candidates are upsampled before the first and the second choice
 _SURVIVORS = 6
 _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
 
@@ -52,7 +52,7 @@ class PairMatch:
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """Best map C_ij from shape j = ``second`` to shape i = ``first`` among all candidates."""
     with single_threaded_blas():
-        top = min(_FINE, first.basis.n, second.basis.n)
+        top = min(FINE, first.basis.n, second.basis.n)
         rough = min(_ROUGH, top)
         signs = np.array([[1, *s] for s in itertools.product([1.0, -1.0], repeat=min(_SIGNS, rough) - 1)])
         starts = [signs[:, :, None] * np.eye(signs.shape[1]), _fitted(first, second, rough)[None]]
@@ -72,7 +72,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
 def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray) -> PairMatch:
     """A proposed map upsampled and judged like the candidates of :func:`match`."""
     with single_threaded_blas():
-        top = min(_FINE, first.basis.n, second.basis.n)
+        top = min(FINE, first.basis.n, second.basis.n)
         maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES)
         distortion, orientation, _ = quality(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
@@ -116,10 +116,6 @@ def quality(
 
 
 def _fitted(first: SampledShape, second: SampledShape, n: int) -> np.ndarray:
-    a, b = first.basis.truncated(n), second.basis.truncated(n)
-    return functional_map_from_descriptors(a, b, first.descriptors, second.descriptors, commutativity=1e-2)
-
-
-def rounded(c_ij: np.ndarray, n: int) -> np.ndarray:
-    """Nearest rotation to the leading n x n block."""
-    return so.project(c_ij[:n, :n])
+    # the fit sees coefficients only, so an identity stands for the eigenfunctions
+    a, b = (Basis(s.basis.eigenvalues[:n], np.eye(n), np.ones(n)) for s in (first, second))
+    return functional_map_from_descriptors(a, b, first.coefficients[:n], second.coefficients[:n], commutativity=1e-2)

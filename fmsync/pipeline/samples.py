@@ -30,6 +30,8 @@ class SampledShape:
         (S, S) geodesic distances between samples, in units of the square root of the area; symmetric.
     descriptors
         (V, K) functions of area-weighted norm 1 and mean 0.
+    coefficients
+        (n, K) of the descriptors in the basis.
     orientation
         (K, n, n) operators that change sign on the mirror image, or None for a point cloud.
     n_landmarks
@@ -41,12 +43,32 @@ class SampledShape:
     samples: np.ndarray
     geodesics: np.ndarray
     descriptors: np.ndarray
+    coefficients: np.ndarray
     orientation: np.ndarray | None
     n_landmarks: int = 0
 
     def sampled(self, size: int | None = None) -> np.ndarray:
         """Basis functions at the first ``size`` samples, (size, n)."""
         return self.basis.eigenfunctions[self.samples[:size]]
+
+    def light(self, n_basis: int) -> "SampledShape":
+        """What matching a pair takes, and no more: the samples alone, and ``n_basis`` functions at them.
+
+        Thousands of vertices become hundreds, so that other processes and machines are sent little.
+        """
+        own, n = self.samples, min(n_basis, self.basis.n)
+        shape = Shape(self.shape.vertices[own], None, self.shape.name)
+        basis = Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own])
+        return SampledShape(
+            shape,
+            basis,
+            np.arange(len(own)),
+            self.geodesics,
+            self.descriptors[own],
+            self.coefficients[:n],
+            self.orientation,
+            self.n_landmarks,
+        )
 
 
 def sample_shape(
@@ -77,7 +99,16 @@ def sample_shape(
     samples = farthest_points(shape.vertices, min(n_samples, shape.n_vertices), landmarks)
     descriptors = _descriptors(basis, landmarks)
     oriented = None if shape.faces is None else orientation_operators(shape, basis.truncated(n_oriented), descriptors)
-    return SampledShape(shape, basis, samples, geodesics_between(shape, samples), descriptors, oriented, len(landmarks))
+    return SampledShape(
+        shape,
+        basis,
+        samples,
+        geodesics_between(shape, samples),
+        descriptors,
+        basis.coefficients(descriptors),
+        oriented,
+        len(landmarks),
+    )
 
 
 def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = None) -> np.ndarray:

@@ -20,14 +20,14 @@ from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate
 from fmsync.functional_map import _nearest
 from fmsync.pipeline.confidence import Confidence, confidence
-from fmsync.pipeline.pairwise import PairMatch, improve, match
+from fmsync.pipeline.pairwise import FINE, PairMatch, improve, match
 from fmsync.pipeline.samples import SampledShape, sample_shape
 from fmsync.pipeline.signs import rotation_signs
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Shape
 
-_STEP, _SETTLE = 5, 3  # functions a step of the last refinement, and steps at its final size
+_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step of the last refinement, and steps at its final size
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _STRANGER = 0.25  # mean change of log eigenvalues from the median shape
@@ -90,14 +90,25 @@ class SyncedShapes:
             raise ValueError("n_draws: confidence needs posterior draws; synchronise with n_draws > 0")
         if not 0 < level < 1:
             raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
-        flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
-        flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS_SHOWN, len(flat))).astype(int)]
-        n = self.problem.n
-        turn = _turns(self.signs, n)
-        draws = turn[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * turn[j]
-        return confidence(self.shapes[i], self.shapes[j], self.sample_images(i, j), draws, self._votes(i, j), level)
+        draws, votes = self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
+        return confidence(self.shapes[i], self.shapes[j], self.functional_map(i, j), draws, votes, level)
 
-    def _votes(self, i: int, j: int) -> np.ndarray:
+    def draws(self, i: int, j: int, count: int) -> np.ndarray:
+        """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
+        if self.posterior is None:
+            raise ValueError("n_draws: there are no posterior draws; synchronise with n_draws > 0")
+        flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
+        flat = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(int)]
+        turn = turns(self.signs, self.problem.n)
+        return turn[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * turn[j]
+
+    def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
+        """(T,) vertices of shape j where ``count`` posterior draws send one vertex of shape i."""
+        n = self.problem.n
+        a, b = self.shapes[i].basis.truncated(n), self.shapes[j].basis.truncated(n)
+        return fmsync.uncertainty.vertex_images(self.draws(i, j, count), a, b, vertex)
+
+    def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
         observed = {}
         for (a, b), m in zip(self.edges.tolist(), self.matches):
@@ -118,8 +129,8 @@ def synchronize_shapes(
     shapes: Sequence[Shape],
     *,
     n_basis: int = 20,
-    n_refined: int = 50,
-    n_samples: int = 600,
+    n_refined: int = 120,
+    n_samples: int = 1000,
     graph: str | Sequence[tuple[int, int]] = "complete",
     n_draws: int = 1000,
     landmarks: Sequence[Sequence[int]] | None = None,
@@ -196,21 +207,24 @@ def synchronize_shapes(
     refuse_strangers(sampled)
     edges = _edges(graph, sampled)
     folder = None if checkpoint is None else Path(checkpoint)
-    tasks = (delayed(_kept_match)(sampled[i], sampled[j], folder) for i, j in edges)
+    light = [s.light(FINE) for s in sampled]
+    tasks = (delayed(_kept_match)(light[i], light[j], folder) for i, j in edges)
     matches = list(tqdm(run(tasks), "pairs", len(edges), disable=not progress))
     _refuse_mirrored(sampled, edges, matches)
 
-    for _ in range(_ROUNDS):
+    for k in range(_ROUNDS):
         estimate, signs, _, _ = _robust(len(shapes), edges, matches, n_basis, rng)
-        turn = _turns(signs, n_basis)
+        turn = turns(signs, n_basis)
         relative = turn[edges[:, 0]][:, :, None] * estimate.relative() * turn[edges[:, 1]][:, None]
-        pairs = tqdm(list(zip(edges, relative, matches)), "refinement", disable=not progress)
-        matches = [min(old, improve(sampled[i], sampled[j], c), key=lambda m: m.cost) for (i, j), c, old in pairs]
+        tasks = (delayed(improve)(light[i], light[j], c) for (i, j), c in zip(edges, relative))
+        better = list(tqdm(run(tasks), f"pairs again {k + 1}/{_ROUNDS}", len(edges), disable=not progress))
+        matches = [min(old, new, key=lambda m: m.cost) for old, new in zip(matches, better)]
     estimate, signs, violating, problem = _robust(len(shapes), edges, matches, n_basis, rng)
     posterior = None
     if n_draws:
-        posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng)
-    refined = _refine(sampled, edges, estimate.absolute * _turns(signs, n_basis)[:, None], n_refined, rng)
+        posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress)
+    start = estimate.absolute * turns(signs, n_basis)[:, None]
+    refined = _refine(sampled, edges, start, n_refined, rng, progress)
     return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
 
 
@@ -277,7 +291,7 @@ def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) 
         return match(first, second)
     key = hashlib.sha256()
     for s in (first, second):
-        for array in (s.shape.vertices, s.samples, s.basis.eigenvalues, s.descriptors[:16]):
+        for array in (s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics):
             key.update(np.ascontiguousarray(array).tobytes())
     file = folder / f"{key.hexdigest()[:24]}.npz"
     if file.is_file():
@@ -293,7 +307,7 @@ def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) 
     return found
 
 
-def _turns(signs: np.ndarray, n: int) -> np.ndarray:
+def turns(signs: np.ndarray, n: int) -> np.ndarray:
     """(N, n) signs of all basis functions: the last one of a shape with -1 is turned over."""
     turns = np.ones((len(signs), n))
     turns[:, -1] = signs
@@ -303,7 +317,7 @@ def _turns(signs: np.ndarray, n: int) -> np.ndarray:
 def _robust(count, edges, matches, n, rng):
     maps = np.array([m.c_ij[:n, :n] for m in matches])
     signs, violating = rotation_signs(count, edges, maps)
-    turn = _turns(signs, n)
+    turn = turns(signs, n)
     problem = SyncProblem(count, edges, so.project(turn[edges[:, 0]][:, :, None] * maps * turn[edges[:, 1]][:, None]))
     return _solved(problem, rng), signs, violating, problem
 
@@ -328,40 +342,49 @@ def _trusted(problem: SyncProblem, estimate: Estimate) -> SyncProblem:
     return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
 
 
-def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng) -> Posterior:
+def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng, progress: bool) -> Posterior:
     """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
     tree = problem.n_edges < problem.n_nodes
     n_chains = 4
-    return fmsync.sample(
-        problem,
-        "heat-bath",
-        kappa=20.0 if tree else "auto",
-        init=estimate,
-        n_chains=n_chains,
-        n_draws=-(-n_draws // n_chains),
-        warmup=300,
-        thin=4,
-        rng=rng,
-    )
+    each = -(-n_draws // n_chains)
+    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
+        return fmsync.sample(
+            problem,
+            "heat-bath",
+            kappa=20.0 if tree else "auto",
+            init=estimate,
+            n_chains=n_chains,
+            n_draws=each,
+            warmup=300,
+            thin=4,
+            callback=lambda *_: bar.update(),
+            rng=rng,
+        )
 
 
-def _refine(shapes, edges, absolute: np.ndarray, size: int, rng) -> np.ndarray:
+def _refine(shapes, edges, absolute: np.ndarray, size: int, rng, progress: bool = False) -> np.ndarray:
     """Absolute maps (N, k, k) upsampled to (N, m, m): every pair by a step of ZoomOut, then all of them together.
 
     Together they stay consistent, and the errors of a pair do not grow (Huang et al. 2020). O(k) needs no signs.
     """
-    k = absolute.shape[-1]
-    sizes = [*range(k + _STEP, size, _STEP), *[size] * _SETTLE]
-    for larger in sizes:
+    for larger in tqdm(_sizes(absolute.shape[-1], size), "refinement", disable=not progress):
+        k = absolute.shape[-1]
         with single_threaded_blas():
-            maps = np.array([_step(shapes[i], shapes[j], absolute[i].T @ absolute[j], larger) for i, j in edges])
-        u, _, vt = np.linalg.svd(maps)
+            at = [s.sampled()[:, :larger] for s in shapes]
+            back = [np.linalg.pinv(phi) for phi in at]
+            maps = np.empty((len(edges), larger, larger))
+            for e, (i, j) in enumerate(edges):
+                images = _nearest(at[i][:, :k] @ (absolute[i].T @ absolute[j]), at[j][:, :k])
+                maps[e] = back[i] @ at[j][images]
+            u, _, vt = np.linalg.svd(maps)
         absolute = fmsync.solve(SyncProblem(len(shapes), edges, u @ vt), "spectral", group="O", rng=rng).absolute
     return absolute
 
 
-def _step(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int) -> np.ndarray:
-    """Point map of the samples, and the functional map (size, size) of that point map."""
-    k = len(c_ij)
-    images = _nearest(first.sampled()[:, :k] @ c_ij, second.sampled()[:, :k])
-    return np.linalg.pinv(first.sampled()[:, :size]) @ second.sampled()[images, :size]
+def _sizes(k: int, size: int) -> list[int]:
+    """Sizes of the maps on the way from k to ``size``."""
+    sizes = []
+    while k < size:
+        k = min(size, max(k + 4, int(k * _GROWTH)))
+        sizes.append(k)
+    return sizes + [size] * _SETTLE

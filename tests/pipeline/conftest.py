@@ -1,0 +1,61 @@
+"""Small cats, matched once for all files of this folder."""
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import data_gen
+import fmsync
+from fmsync.cli import main
+
+OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 150, "rng": 0}
+QUICK = ["--basis", "10", "--refined", "20", "--samples", "120", "--draws", "40", "--jobs", "1"]
+
+
+@pytest.fixture(scope="session")
+def cats():
+    return data_gen.load_collection("cats", count=4, n_vertices=1000)
+
+
+@pytest.fixture(scope="session")
+def synced(cats):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # few draws: what is tested here is where they go
+        return fmsync.synchronize_shapes(cats, n_draws=200, **OPTIONS)
+
+
+def write_off(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    with path.open("w") as stream:
+        stream.write(f"OFF\n{len(vertices)} {len(faces)} 0\n")
+        np.savetxt(stream, vertices, fmt="%.9g")
+        np.savetxt(stream, np.column_stack([np.full(len(faces), 3), faces]), fmt="%d")
+    return path
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory, cats):
+    place = tmp_path_factory.mktemp("meshes")
+    for shape in cats[:3]:
+        write_off(place / f"{shape.name}.off", shape.vertices, shape.faces)
+    return place
+
+
+@dataclass
+class Written:
+    folder: Path
+    said: str
+
+
+@pytest.fixture(scope="session")
+def written(folder, tmp_path_factory):
+    """What the command leaves behind and says, for three cats."""
+    import contextlib
+    import io
+
+    out, said = tmp_path_factory.mktemp("run") / "out", io.StringIO()
+    with contextlib.redirect_stderr(said):
+        assert main(["sync", str(folder), "-o", str(out), *QUICK]) == 0
+    return Written(out, said.getvalue())
