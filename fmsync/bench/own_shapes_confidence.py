@@ -133,7 +133,7 @@ def planted(loaded: dict) -> dict:
     """Regions under noise that the model is right about, and the flag of two modes under flips that are known."""
     found = {}
     for name, shapes in loaded.items():
-        synced = fmsync.synchronize_shapes(shapes[:6], rng=0, n_draws=200)
+        synced = fmsync.synchronize_shapes(shapes[:5], rng=0, n_refined=60, n_samples=600, n_draws=200)
         found[name] = {
             "coverage under planted noise": planted_noise(synced),
             "two modes under planted flips": {
@@ -144,7 +144,7 @@ def planted(loaded: dict) -> dict:
     return found
 
 
-def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int = 3) -> dict:
+def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int = 2) -> dict:
     """Share of samples whose image under the true map lies in its region, at every concentration and level."""
     count, n, edges = len(synced.shapes), synced.problem.n, synced.edges
     noise = generator_function("data_gen.langevin:langevin_noise")

@@ -11,7 +11,7 @@ import data_gen
 import fmsync
 from fmsync.cli import main
 
-OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 150, "rng": 0}
+OPTIONS = {"n_basis": 12, "n_refined": 30, "n_samples": 200, "rng": 0}
 QUICK = ["--basis", "10", "--refined", "20", "--samples", "120", "--draws", "40", "--jobs", "1"]
 
 

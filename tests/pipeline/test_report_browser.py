@@ -1,5 +1,6 @@
 """The report in a real browser, from disk: every pair can be chosen, and it turns when dragged."""
 
+import base64
 import io
 
 import numpy as np
@@ -11,8 +12,9 @@ from tests.test_book_browser import ARGS, CHROME, _absent
 pytestmark = pytest.mark.browser
 
 
-def pixels(element) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB"), dtype=int)
+def pixels(canvas) -> np.ndarray:
+    drawn = canvas.evaluate("(c) => c.toDataURL()").split(",", 1)[1]
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(drawn))).convert("RGB"), dtype=int)
 
 
 def test_the_report_shows_every_pair_and_turns(written, tmp_path):
