@@ -106,34 +106,36 @@ def oracle(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def error_against_seconds(board: pd.DataFrame, error: str = "error") -> Figure:
+def error_against_seconds(board: pd.DataFrame) -> Figure:
     """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the floor as a line.
 
-    Names stand at the right, in the order of the errors. ``error`` is the column to draw; who has no error there, or
-    none at all since it sees the truth, is left out.
+    Root mean squares, as the floor is. Names stand at the right, in the order of the errors; who makes none, since it
+    sees the truth, is left out.
     """
-    kinds = [(problem, part) for problem, part in board.groupby("problem", sort=False) if part[error].notna().any()]
+    rows = board[board.cpu.notna() & (board.rms > 0)]
+    kinds = list(rows.groupby("problem", sort=False))
     heights = [0.6 + 0.21 * max(len(part), 7) for _, part in kinds]
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.5), layout="constrained")
     axes = figure.subplots(len(kinds), 1, squeeze=False, height_ratios=heights)[:, 0]
     titles = _differences([problem for problem, _ in kinds])
-    for axis, (_, part), title in zip(axes, kinds, titles):
-        drawn = part[part.cpu.notna() & (part[error] > 0)]
-        axis.plot(drawn.cpu, drawn[error], "o")
-        axis.set(xscale="log", yscale="log" if drawn[error].max() > 4 * drawn[error].min() else "linear")
-        for one, values in ((axis.xaxis, drawn.cpu), (axis.yaxis, drawn[error])):
+    for axis, (_, drawn), title in zip(axes, kinds, titles):
+        axis.plot(drawn.cpu, drawn.rms, "o")
+        axis.set(xscale="log", yscale="log" if drawn.rms.max() > 4 * drawn.rms.min() else "linear")
+        for one, values in ((axis.xaxis, drawn.cpu), (axis.yaxis, drawn.rms)):
             if one.get_scale() == "log":
                 few = values.max() < 30 * values.min()
                 one.set_major_locator(mpl.ticker.LogLocator(subs=(1, 2, 5) if few else (1,)))
                 one.set_major_formatter(mpl.ticker.FormatStrFormatter("%g"))
                 one.set_minor_formatter(mpl.ticker.NullFormatter())
         axis.margins(0.08)
-        if error == "error" and part.floor.notna().any():
-            axis.axhline(part.floor.iloc[0], color="k", lw=1.2)
+        if drawn.floor.notna().any():
+            axis.axhline(drawn.floor.iloc[0], color="k", lw=1.2)
         axis.set_title(title, loc="left", fontsize=11)
-        axis.set_ylabel("error", fontsize=11)
-        _name_at_the_right(axis, drawn.label, drawn.cpu, drawn[error])
+        axis.set_ylabel("rms error", fontsize=11)
     axes[-1].set_xlabel("CPU seconds", fontsize=11)
+    figure.draw_without_rendering()  # the places of the names are known only now
+    for axis, (_, drawn) in zip(axes, kinds):
+        _name_at_the_right(axis, drawn.label, drawn.cpu, drawn.rms)
     return figure
 
 
@@ -148,6 +150,7 @@ def point_curves(frame: pd.DataFrame) -> Figure:
     for k, (_, curve) in enumerate(curves.iterrows()):
         axis.plot(curve.index, curve, color=mpl.colormaps["viridis"](0.9 * k / max(len(curves) - 1, 1)))
     axis.set(xlabel="geodesic distance, in square roots of the area", ylabel="share of vertices", ylim=(0, 1))
+    figure.draw_without_rendering()
     _name_at_the_right(axis, curves.index, [curves.columns[-1]] * len(curves), curves.iloc[:, -1])
     return figure
 
@@ -167,7 +170,6 @@ def _differences(problems: list[str]) -> list[str]:
 
 def _name_at_the_right(axis: Axes, names, x, y) -> None:
     """Write names of points, lowest first, in a column beside the axes, apart from each other, a thin line to each."""
-    axis.figure.draw_without_rendering()  # places are known only now
     own = axis.transAxes.inverted().transform(axis.transData.transform(np.column_stack([x, y])))
     gap = 1 / max(len(own) - 1, 7)
     order = np.lexsort((-own[:, 0], np.round(own[:, 1] / gap)))  # lines of equal heights do not cross

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fmsync.bench import results
+from fmsync.bench.metrics import root_mean_square
 from fmsync.bounds import recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
@@ -113,7 +114,7 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        problem, label, error (mean over seeds), low, high, seconds and cpu (medians), memory (median, MB), failed (cells
+        problem, label, error (mean over seeds), low, high, rms (as floor and expected are), seconds and cpu (medians), memory (median, MB), failed (cells
         that gave no answer), floor and expected where theory knows them.
     """  # noqa: E501
     scalar = frame[frame["at"].isna()]
@@ -122,16 +123,30 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     medians = scalar[scalar.metric.isin(_SCORES[1:])].pivot_table(
         index=keys, columns="metric", values="value", aggfunc="median"
     )
+    squares = scalar[scalar.metric == "edge_rms"].groupby(keys)["value"].agg(root_mean_square).rename("rms")
     lines = scalar[scalar.metric.isin(["floor_rms", "expected_rms"])].pivot_table(
         index="problem", columns="metric", values="value"
     )
     cells = frame.drop_duplicates([*keys, "seed"])
     failed = (cells.status != "ok").groupby([cells.problem, cells.label]).sum().rename("failed").reset_index()
     table = failed.merge(errors, how="left", on=keys).merge(medians.reset_index(), how="left", on=keys)
-    table = table.merge(lines.reset_index(), how="left", on="problem")
+    table = table.merge(squares.reset_index(), how="left", on=keys).merge(lines.reset_index(), how="left", on="problem")
     names = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
     table = table.rename(columns=names)
-    order = ["problem", "label", "error", "low", "high", "seconds", "cpu", "memory", "failed", "floor", "expected"]
+    order = [
+        "problem",
+        "label",
+        "error",
+        "low",
+        "high",
+        "rms",
+        "seconds",
+        "cpu",
+        "memory",
+        "failed",
+        "floor",
+        "expected",
+    ]
     return table.reindex(columns=order).sort_values(["problem", "error"], ignore_index=True)
 
 
