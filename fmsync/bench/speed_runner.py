@@ -20,7 +20,8 @@ from fmsync.bench.speed_samplers import complete_problem
 from fmsync.bench.store import Store
 from fmsync.bench.suites import Cell
 
-_COUNT = 60  # cells of a round
+_COUNT = 60  # cells of a round ...
+_METHODS = 5  # ... so many for each problem
 _METHOD = """
 import numpy as np
 from fmsync.bench.methods import Answer, method
@@ -53,8 +54,9 @@ def overhead(folder: Path) -> None:
     for n_jobs in (1, 2):
         rounds = []
         for k in range(6):
-            seeds = range(k * _COUNT, (k + 1) * _COUNT)
-            todo = [Cell(generator, problem, s, name, name, {"products": products}, file=str(file)) for s in seeds]
+            seeds = range(k * _COUNT, (k + 1) * _COUNT, _METHODS)  # as in a suite, several methods meet a problem
+            options = [{"products": products + method} for method in range(_METHODS)]
+            todo = [Cell(generator, problem, s, name, name, one, file=str(file)) for s in seeds for one in options]
             began = _cpu_of_all()
             run = run_cells(todo, Store(folder / str(n_jobs)), n_jobs=n_jobs)
             spent = (_cpu_of_all() - began) / _COUNT
