@@ -1,4 +1,4 @@
-"""An unconstrained estimate brought to the group: what a mean on SO(n), as the paper takes of its MLE (1), makes of it."""
+"""An unconstrained estimate brought to the group, as a mean on SO(n) such as the paper takes of its MLE (1) does it."""
 
 from fmsync import estimators, so
 from fmsync.bench.methods import Answer, method
