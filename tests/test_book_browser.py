@@ -223,7 +223,7 @@ def _serious_violations_of_axe(page) -> None:
 
 _UNFOLD = """() => {
   const still = document.createElement("style");
-  still.textContent = "* { transition: none !important }";
+  still.textContent = "* { transition: none !important; animation: none !important }";
   document.head.append(still);
   document.querySelectorAll("details").forEach((e) => (e.open = true));
   document.querySelectorAll(".toggle-hidden").forEach((e) => e.classList.remove("toggle-hidden"));
