@@ -37,7 +37,7 @@ notebook-test: setup
 # last, so that the summary of what was looked at in the browser ends the log
 browser: setup
 	test -f $(HTML) || $(MAKE) book
-	pytest -q -rs -n $(JOBS) -m browser tests/test_book_browser.py
+	pytest -q -rs -n $(JOBS) -m browser tests/test_book_browser.py tests/pipeline/test_report_browser.py
 
 notebooks: setup
 	python scripts/sync_notebooks.py

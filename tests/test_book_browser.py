@@ -357,13 +357,18 @@ def test_scenes_draw_and_turn_when_dragged(opened, name):
     stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
     before = _settled(page, stage)
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 50, "blank scene"
-    box = stage.bounding_box()
+    drag(page, stage)
+    assert np.abs(_settled(page, stage) - before).mean() > 1, "the scene did not turn"
+
+
+def drag(page, element) -> None:
+    """Pull the mouse across an element, as a reader turns a scene."""
+    box = element.bounding_box()
     x, y = box["x"] + box["width"] / 4, box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + 90, y + 20, steps=6)
     page.mouse.up()
-    assert np.abs(_settled(page, stage) - before).mean() > 1, "the scene did not turn"
 
 
 def _settled(page, element) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.test_book_browser import ARGS, CHROME, _absent
+from tests.test_book_browser import ARGS, CHROME, _absent, drag
 
 pytestmark = pytest.mark.browser
 
@@ -41,12 +41,7 @@ def test_the_report_shows_every_pair_and_turns(written, tmp_path):
         assert len(seen) == 9
         before = pixels(carried)
         assert len(np.unique(before.reshape(-1, 3), axis=0)) > 50, "blank"
-        box = carried.bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 90, y + 20, steps=4)
-        page.mouse.up()
+        drag(page, carried)
         assert np.abs(pixels(carried) - before).mean() > 1, "it did not turn"
         context.set_offline(True)
         page.set_viewport_size({"width": 390, "height": 844})
