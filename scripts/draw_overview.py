@@ -117,9 +117,9 @@ def sure(ax: Axes, story: Story) -> None:
     limit = float(np.quantile(story.spread, 0.98))
     place(ax, cat(story.shapes[-1], story.spread, clim=(0, limit), flat=True), (0.5, 0.56), 0.8)
     ramp = np.linspace(0, 1, 256)[None]
-    ax.imshow(ramp, cmap="viridis", extent=(0.2, 0.8, 0.075, 0.105), zorder=3)
-    ax.text(0.19, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
-    ax.text(0.81, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
+    ax.imshow(ramp, cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
+    ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
+    ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
 
 
 def panel(story: Story, which: int, ax: Axes) -> None:
