@@ -1,4 +1,6 @@
-"""Which modules a function may use, and a hash of their text: a cell is stale when one of them has changed.
+"""Which modules a function may use, and a hash of their code: a cell is stale when one of them has changed.
+
+Comments, docstrings and layout do not count: they change no result.
 
 Imports are followed through the syntax tree, in the packages that are ours alone. A string that is the name of a method
 counts as a use of that method, since methods call each other by name. Too much may be followed, which only costs time;
@@ -17,6 +19,7 @@ from pathlib import Path
 from fmsync import estimators, samplers
 from fmsync.bench import methods
 
+_DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 _LAZY = "fmsync"  # the root package imports its rooms when asked: following it would find everything
 
 
@@ -42,11 +45,11 @@ def used_modules(start: Iterable[str]) -> list[str]:
 
 
 def fingerprint(start: Iterable[str]) -> str:
-    """SHA-256 over names and texts of the modules reachable from some modules."""
+    """SHA-256 over names and syntax trees of the modules reachable from some modules."""
     digest = hashlib.sha256()
     for name in used_modules(start):
         digest.update(f"{name}\n".encode())
-        digest.update(_text(name))
+        digest.update(ast.dump(_tree(name)).encode())
     return digest.hexdigest()
 
 
@@ -59,8 +62,7 @@ def _imports(name: str, roots: frozenset[str]) -> frozenset[str]:
     path = _file(name)
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     found: set[str] = set()
-    tree = ast.parse(_text(name))
-    for node in ast.walk(tree):
+    for node in ast.walk(_tree(name)):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 found |= _module(alias.name, roots)
@@ -114,5 +116,10 @@ def _file(name: str) -> Path:
 
 
 @cache
-def _text(name: str) -> bytes:
-    return _file(name).read_bytes()
+def _tree(name: str) -> ast.Module:
+    """Syntax tree of a module without its docstrings."""
+    tree = ast.parse(_file(name).read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return tree

@@ -21,7 +21,7 @@ def package(tmp_path, monkeypatch):
     yield folder
     for name in [name for name in sys.modules if name.startswith("stale_package")]:
         del sys.modules[name]
-    code._text.cache_clear(), code._imports.cache_clear(), code._file.cache_clear()
+    code._tree.cache_clear(), code._imports.cache_clear(), code._file.cache_clear()
 
 
 def test_imports_are_followed_and_strangers_are_not(package):
@@ -33,11 +33,21 @@ def test_imports_are_followed_and_strangers_are_not(package):
     assert "fmsync.langevin" in found
 
 
-@pytest.mark.parametrize(("edited", "stale"), [("b", True), ("d", True), ("e", False)])
-def test_an_edit_shows_where_it_matters(package, edited, stale):
+@pytest.mark.parametrize(
+    ("edited", "text", "stale"),
+    [
+        ("b", "X = 1\n", True),
+        ("d", "X = 1\n", True),
+        ("e", "X = 1\n", False),
+        ("b", '"""What it is."""\nimport numpy  # why\n', False),
+        ("c", 'def f():\n    "What it does."\n    import stale_package.d\n', False),
+        ("c", 'def f():\n    "What it does."\n    return import_module("stale_package.d")\n', True),
+    ],
+)
+def test_an_edit_shows_where_it_matters(package, edited, text, stale):
     before = code.fingerprint(["stale_package.a"])
-    (package / f"{edited}.py").write_text("X = 1\n")
-    code._text.cache_clear(), code._imports.cache_clear()
+    (package / f"{edited}.py").write_text(text)
+    code._tree.cache_clear(), code._imports.cache_clear()
     assert (code.fingerprint(["stale_package.a"]) != before) == stale
 
 
