@@ -28,7 +28,8 @@ _WRONG_EVERY = 4
 _THINNING = {  # sweeps between draws, so that 200 of them are effective; 2 elsewhere
     ("langevin", 8.0, "langevin"): 3,
     ("projected-gaussian", 0.1, "projected-gaussian"): 3,
-    ("projected-gaussian", 0.2, "projected-gaussian"): 6,
+    ("projected-gaussian", 0.2, "projected-gaussian"): 7,
+    ("projected-gaussian", 0.02, "beta = 1"): 8,
     ("projected-gaussian", None, "beta = 1"): 6,
     ("projected-gaussian", 0.2, "langevin"): 3,
 }
