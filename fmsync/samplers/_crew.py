@@ -6,7 +6,7 @@ processors this process may use; joblib sets it to its share in every worker.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numba
 import numpy as np
@@ -19,13 +19,19 @@ class Crew:
         self.size, self._pool = numba.config.NUMBA_NUM_THREADS, None
 
     def share(self, work: Callable[[int, int], None], count: int) -> None:
-        """Call ``work(first, last)`` for parts of 0 .. count, at the same time; returns when all are done."""
+        """Call ``work(first, last)`` for parts of 0 .. count, at the same time.
+
+        Nobody is at work any more when it returns, nor when it is left by Ctrl-C.
+        """
         parts = min(self.size, count)
         ends = np.arange(parts + 1) * count // max(parts, 1)
         if parts > 1 and self._pool is None:
             self._pool = ThreadPoolExecutor(self.size - 1, thread_name_prefix="fmsync")
         others = [self._pool.submit(work, ends[k], ends[k + 1]) for k in range(1, parts)]
-        if parts:
-            work(ends[0], ends[1])
+        try:
+            if parts:
+                work(ends[0], ends[1])
+        finally:
+            wait(others)
         for other in others:
             other.result()

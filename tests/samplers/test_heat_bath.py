@@ -1,5 +1,6 @@
 """The heat bath against exact laws and slow twins; thresholds are numbers of standard errors."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import networkx as nx
@@ -278,6 +279,39 @@ def test_draws_do_not_depend_on_the_number_of_threads(monkeypatch, n_nodes, n_ch
     np.testing.assert_array_equal(draws[0].kappa, draws[1].kappa)
     shared = [count for size, count in shares if size == 3]
     assert max(shared) == n_chains if n_chains > 1 else max(shared) > 12
+
+
+def test_ctrl_c_in_a_shared_step_waits_for_the_other_thread(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    finished = []
+
+    def work(first, last):
+        if first == 0:  # in the thread of the caller, the one that Ctrl-C interrupts
+            raise KeyboardInterrupt
+        time.sleep(0.2)
+        finished.append(last)
+
+    with pytest.raises(KeyboardInterrupt):
+        _crew.Crew().share(work, 10)
+    assert finished == [10]
+
+
+def test_ctrl_c_in_a_shared_step_returns_the_draws_so_far(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    p = data_gen.perturb(data_gen.planted(24, 20, rng=0), 0.1, 1)
+    options = {"kappa": 5.0, "n_chains": 4, "n_draws": 6, "warmup": 0, "rng": 3, "init": "random"}
+    whole, calls, plain = fmsync.sample(p, "heat-bath", **options), [], _crew.Crew.share
+
+    def interrupted(crew, work, count):
+        calls.append(count)
+        plain(crew, work, count)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(_crew.Crew, "share", interrupted)
+    post = fmsync.sample(p, "heat-bath", **options)
+    assert post.interrupted
+    np.testing.assert_array_equal(post.absolute, whole.absolute[:, :3])
 
 
 RUN = {"kappa": 5.0, "n_chains": 4, "n_draws": 3, "warmup": 0}

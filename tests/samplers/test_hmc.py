@@ -52,9 +52,10 @@ def test_gradient_of_the_potential_by_differences(energy):
     assert (ends[0] - ends[1]) / 2e-5 == pytest.approx(slope, rel=1e-6)
 
 
+@pytest.mark.parametrize(("kappa", "exact"), [(3.0, 3.0000), (10.0, 10.1674), (30.0, 16.8173)])
 @pytest.mark.parametrize(("method", "options"), [("hmc", {}), ("hmc", {"integrator": "exp"}), ("mala", {})])
-def test_one_edge_of_so20(method, options):
-    p, kappa, exact = one_edge(20), 10.0, 10.1674
+def test_one_edge_of_so20(method, options, kappa, exact):
+    p = one_edge(20)
     thin = 10 if method == "mala" else 1
     options = {"n_chains": 32, "n_draws": 150, "warmup": 200 * min(thin, 3), "thin": thin} | options
     post = fmsync.sample(p, method, kappa=kappa, rng=1, **options)
