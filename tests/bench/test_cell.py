@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import threadpoolctl
 
+import data_gen
+from fmsync import diagnostics
 from fmsync.bench import cell as cells
 from fmsync.bench import methods
 from fmsync.bench.measure import measure
@@ -100,6 +102,31 @@ def test_a_cell_has_one_thread():
         assert before == numba.config.NUMBA_NUM_THREADS
     finally:
         methods._REGISTRY.pop("trick-threads")
+
+
+def test_seconds_and_cpu_seconds_are_those_of_the_method_alone(tmp_path):
+    """A loop of .3 seconds on one core; neither the making of the problem nor the measuring counts."""
+    options = {"log": str(tmp_path / "log"), "seconds": 0.3}
+    found = values(cells.run_cell(cell("trick-count", options)))
+    assert found["seconds"] >= 0.3
+    assert 0 < found["cpu_seconds"] <= found["seconds"] + 0.05  # the clock of the processor may tick in 10 ms
+
+
+def test_ess_per_second_by_hand(monkeypatch):
+    """The least ESS over the seconds that the call of the sampler took, on a clock of our own."""
+    clock, made = iter([100.0, 102.5]), []
+    monkeypatch.setattr(methods.time, "perf_counter", lambda: next(clock, 102.5))
+    sample = methods.samplers.sample
+
+    def kept(*arguments, **options):
+        made.append(sample(*arguments, **options))
+        return made[-1]
+
+    monkeypatch.setattr(methods.samplers, "sample", kept)
+    p = data_gen.perturb(data_gen.planted(4, 3, rng=0), 0.05, 1)
+    answer = methods.sampled(p, "heat-bath", rng=np.random.default_rng(2), n_chains=2, n_draws=60, warmup=20, kappa=5.0)
+    least = min(diagnostics.ess(values) for values in diagnostics.scalars(made[0]).values())
+    assert answer.numbers()["ess_per_second"] == pytest.approx(least / 2.5)
 
 
 def test_a_failure_keeps_its_traceback():

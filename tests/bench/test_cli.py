@@ -1,5 +1,8 @@
 """The command line, and the smoke suite from run to report."""
 
+import io
+import re
+import sys
 import time
 from pathlib import Path
 
@@ -40,6 +43,25 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
         main(["bench", "collect", "smoke", "--store", str(tmp_path / "cells"), "--results", str(tmp_path / "c")]) == 0
     )
     assert len(results.read(tmp_path / "c" / "smoke.parquet")) == len(frame)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_bar_with_the_time_left_on_a_terminal_and_lines_elsewhere(tmp_path, monkeypatch, capsys, terminal):
+    screen = io.StringIO()
+    screen.isatty = lambda: terminal
+    monkeypatch.setattr(sys, "stderr", screen)
+    chosen = ["--only", "^(spectral|trick-raise) .*n_nodes=6 .*", "--seeds", "1", "--with", TRICKS]
+    main(["bench", "run", "smoke", *chosen, "--jobs", "1", "--store", str(tmp_path)])
+    out = capsys.readouterr().out
+    lines = [line for line in out.splitlines() if re.match(r"\d+/\d+ ", line)]
+    if terminal:
+        assert re.search(r"(\d+)/\1 \[\d\d:\d\d<00:00", screen.getvalue())  # done/all [so far<left
+        assert "error: trick-raise" in out  # failures stay to be read
+        assert not lines
+    else:
+        assert screen.getvalue() == ""
+        assert len(lines) >= 2
+        assert any(" error " in line for line in lines)
 
 
 def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
