@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 _WIDTH = 5.2  # inches: one column, whose type can be read on a phone
 _STYLES = {1.0: "-", 0.833: "--", 0.667: ":"}
+_MARKERS = "osD^v<>pPXd"
 
 
 def errors(table: pd.DataFrame) -> Figure:
@@ -142,16 +143,21 @@ def error_against_seconds(board: pd.DataFrame) -> Figure:
 def point_curves(frame: pd.DataFrame) -> Figure:
     """Share of vertices that land within a distance of their place, for every method of the rows given."""
     rows = frame[frame.metric == "point_curve"]
-    figure = Figure(figsize=(_WIDTH, 4.0), layout="constrained")
-    axis = figure.subplots()
     curves = rows.groupby(["label", "at"])["value"].mean().unstack("at")
     middle = curves.columns[len(curves.columns) // 3]
-    curves = curves.sort_values(middle)
-    for k, (_, curve) in enumerate(curves.iterrows()):
-        axis.plot(curve.index, curve, color=mpl.colormaps["viridis"](0.9 * k / max(len(curves) - 1, 1)))
+    curves = curves.sort_values(middle, ascending=False)  # the legend reads from the highest curve to the lowest
+    figure = Figure(figsize=(_WIDTH, 3.6 + 0.11 * len(curves)), layout="constrained")
+    axis = figure.subplots()
+    for k, (label, curve) in enumerate(curves.iterrows()):
+        shade = 0.9 * (1 - k / max(len(curves) - 1, 1))
+        style = {
+            "color": mpl.colormaps["viridis"](shade),
+            "ls": "-" if k % 2 else "--",
+            "marker": _MARKERS[k % len(_MARKERS)],
+        }
+        axis.plot(curve.index, curve, label=str(label), lw=1.2, ms=4, markevery=(k % 4, 4), **style)
     axis.set(xlabel="geodesic distance, in square roots of the area", ylabel="share of vertices", ylim=(0, 1))
-    figure.draw_without_rendering()
-    _name_at_the_right(axis, curves.index, [curves.columns[-1]] * len(curves), curves.iloc[:, -1])
+    figure.legend(loc="outside lower center", ncols=2, fontsize=10)
     return figure
 
 
@@ -165,7 +171,13 @@ def _differences(problems: list[str]) -> list[str]:
     names = [name for name in dict.fromkeys(name for one in values for name in one)]
     told = [name for name in names if len({json.dumps(one.get(name)) for one in values}) > 1]
     spoken = {"sigma2": "σ²", "n_nodes": "shapes", "kappa": "κ"}
-    return [", ".join(f"{spoken.get(n, n)} = {one[n]}" for n in told if one.get(n) is not None) for one in values]
+    return [
+        ", ".join(f"{spoken.get(n, n)} = {_short(one[n])}" for n in told if one.get(n) is not None) for one in values
+    ]
+
+
+def _short(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _name_at_the_right(axis: Axes, names, x, y) -> None:
