@@ -11,8 +11,11 @@ The order is used to judge, never to map. A part of the measurements is one comm
     time of a vertex's images, price of computing on samples
 ``... planted cats``
     regions where the model is right; flags of two modes where flips were planted
+``... refit cats uneven_cats --out fmsync/pipeline/recalibration.json``
+    the recalibration that the package ships
 
-A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
+A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
+are in square roots of the area.
 """
 
 import argparse
@@ -68,8 +71,22 @@ class Judge:
 
 def collection(name: str) -> list[Shape]:
     """Shapes of one vertex order."""
-    options = _SYNTHETIC if name == "cats" else {}
-    return generator_function("data_gen:load_collection")(name, **options)
+    load = generator_function("data_gen:load_collection")
+    if name == "uneven_cats":
+        return uneven(load("cats", seed=2, **_SYNTHETIC))
+    return load(name, **(_SYNTHETIC if name == "cats" else {}))
+
+
+def uneven(shapes: list[Shape], amount: float = 0.0075) -> list[Shape]:
+    """Shapes that are not isometric: each moved by a smooth field of its own, of this size in square roots of area."""
+    smooth = fmsync.laplace_beltrami(shapes[0].vertices, shapes[0].faces, 12).eigenfunctions[:, 1:]
+    moved = []
+    for k, shape in enumerate(shapes):
+        field = smooth @ np.random.default_rng([2, k]).standard_normal((11, 3))
+        moved.append(
+            Shape(shape.vertices + amount * np.sqrt(shape.area) * field / field.std(), shape.faces, shape.name)
+        )
+    return moved
 
 
 def judged(shapes: list[Shape], count: int = 80) -> np.ndarray:
@@ -104,11 +121,11 @@ def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:
 def accuracy(synced: SyncedShapes, judge: Judge, peers: bool) -> dict:
     """Errors and CPU seconds of every stage, ours and pyFM's, after the bases and descriptors that all share."""
     pairs = some_pairs(len(synced.shapes))
-    errors, seconds = stages(synced, judge, pairs)
+    errors, seconds, matches = stages(synced, judge, pairs)
     if peers:
         from fmsync.bench.own_shapes_peers import pyfm_stages
 
-        theirs, more = pyfm_stages(synced, judge, pairs)
+        theirs, more = pyfm_stages(synced, judge, pairs, matches)
         errors |= theirs
         seconds |= more
     return {
@@ -125,8 +142,8 @@ def accuracy(synced: SyncedShapes, judge: Judge, peers: bool) -> dict:
     }
 
 
-def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict]:
-    """Errors and CPU seconds of the pipeline's stages from descriptors to the final maps."""
+def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]:
+    """Errors and CPU seconds of the pipeline's stages from descriptors to the final maps; the pairwise matches."""
     shapes, edges, n, m = synced.shapes, synced.edges, synced.problem.n, synced.refined.shape[-1]
     rng, light, clock = np.random.default_rng(0), [s.light(FINE) for s in synced.shapes], time.process_time
     began = clock()
@@ -169,12 +186,12 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict]:
         "robustly synchronised, upsampled": judge.mean(pairs, upsampled(relative(robust))),
         "proposed to the pairs, synchronised": judge.mean(pairs, relative(start)),
     }
-    for size in sorted({FINE, m}):
+    for size in sorted({FINE, min(80, m), m}):
         began = clock()
         together = synchronise._refine(shapes, edges, start, size, rng)
         seconds[f"upsampled together to {size}"] = clock() - began
         errors[f"pipeline (upsampled together to {size})"] = judge.mean(pairs, relative(together))
-    return errors, seconds
+    return errors, seconds, matches
 
 
 def costs(shapes: list[Shape], places: np.ndarray) -> dict:
@@ -226,13 +243,15 @@ def main(arguments: list[str] | None = None) -> None:
     from fmsync.bench import own_shapes_confidence as certainty
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["collections", "remeshed", "landmarks", "costs", "planted"])
+    parser.add_argument("part", choices=["collections", "remeshed", "landmarks", "costs", "planted", "refit"])
     parser.add_argument("collections", nargs="+")
     parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
     options = parser.parse_args(arguments)
     names = [Path(name).name for name in options.collections]
     command = " ".join(["python -m fmsync.bench.own_shapes", options.part, *names])
     loaded = {name: collection(c) for name, c in zip(names, options.collections)}
+    if options.part == "refit":
+        return certainty.refit(loaded).save(options.out)
     if options.part in ("collections", "planted"):
         found = getattr(certainty, options.part)(loaded)
     else:

@@ -18,17 +18,18 @@ from fmsync.problem import SyncProblem
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 KEPT = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 _GROSS = 0.05  # errors above it are called gross
+_NUMBERS = ("radius", "entropy", "spread", "stretch", "distortion")  # what a confidence says of a vertex
 
 
 def collections(loaded: dict) -> dict:
     """Errors, coverage and selective use on every collection, recalibrated on each and as the package ships it."""
-    observed = {name: observe(shapes, peers=k == 0) for k, (name, shapes) in enumerate(loaded.items())}
+    observed = {name: observe(shapes) for name, shapes in loaded.items()}
     fitted = {name: fit_recalibration(o["known"], o["errors"], name) for name, o in observed.items()}
-    found = {}
+    found, peers = {}, True  # on the first collection alone: they take most of the time
     for name, o in observed.items():
         others = {f"recalibrated on {other}": r for other, r in fitted.items()} | {"as shipped": shipped()}
         strange = next((r for other, r in fitted.items() if other != name), shipped())
-        found[name] = o["accuracy"] | {
+        found[name] = accuracy(o["synced"], o["judge"], peers) | {
             "kappa": float(o["synced"].posterior.kappa.mean()),
             "map error over posterior spread": misspecified(o["synced"]),
             "coverage": {"as it comes": {str(q): _covered(o, q) for q in LEVELS}}
@@ -40,10 +41,18 @@ def collections(loaded: dict) -> dict:
             "ranked by the recalibration of": strange.fitted_on,
             "selective": selective(o, strange),
         }
+        peers = False
     return found
 
 
-def observe(shapes, peers: bool) -> dict:
+def refit(loaded: dict) -> Recalibration:
+    """Recalibration from all collections together."""
+    observed = [observe(shapes) for shapes in loaded.values()]
+    known, errors = ([x for o in observed for x in o[part]] for part in ("known", "errors"))
+    return fit_recalibration(known, errors, " and ".join(f"{len(x)} {n}" for n, x in loaded.items()).replace("_", " "))
+
+
+def observe(shapes) -> dict:
     """The pipeline run on shapes of one order, what it says of the judged vertices, and their true errors."""
     synced, places = fmsync.synchronize_shapes(shapes, rng=0), judged(shapes)
     judge, pairs = Judge(synced, places), some_pairs(len(shapes), 16)
@@ -53,8 +62,7 @@ def observe(shapes, peers: bool) -> dict:
     raw = [quantiles(synced, i, j, k.image) for (i, j), k in zip(pairs, at_samples)]
     draws = {q: [judge.at(i, r[n]) for (i, _), r in zip(pairs, raw)] for n, q in enumerate(LEVELS)}
     cheap = [alternatives(synced, places, i, j) for i, j in pairs]
-    table = accuracy(synced, judge, peers)
-    return {"synced": synced, "known": known, "errors": errors, "draws": draws, "cheap": cheap, "accuracy": table}
+    return {"synced": synced, "judge": judge, "known": known, "errors": errors, "draws": draws, "cheap": cheap}
 
 
 def quantiles(synced: SyncedShapes, i: int, j: int, image: np.ndarray) -> np.ndarray:
@@ -66,8 +74,7 @@ def quantiles(synced: SyncedShapes, i: int, j: int, image: np.ndarray) -> np.nda
 
 def at_vertices(judge: Judge, i: int, known: Confidence) -> Confidence:
     """The lengths of a confidence carried from samples of shape i to the judged vertices."""
-    lengths = ("radius", "entropy", "spread", "residual", *Confidence.LENGTHS)
-    return replace(known, **{name: judge.at(i, getattr(known, name)) for name in lengths})
+    return replace(known, **{name: judge.at(i, getattr(known, name)) for name in _NUMBERS})
 
 
 def _covered(o: dict, level: float, recalibration: Recalibration | None = None) -> float:
@@ -99,9 +106,7 @@ def selective(o: dict, recalibration: Recalibration) -> dict:
     """Errors of the vertices kept when the least certain are dropped: curves, areas and shares of gross errors."""
     errors = np.concatenate(o["errors"])
     scores = {"expected error": [recalibration.expected(k) for k in o["known"]]}
-    scores |= {
-        name: [getattr(k, name) for k in o["known"]] for name in ("radius", "entropy", "spread", *Confidence.LENGTHS)
-    }
+    scores |= {name: [getattr(k, name) for k in o["known"]] for name in _NUMBERS}
     scores |= {name: [c[name] for c in o["cheap"]] for name in o["cheap"][0]}
     found = {"kept": KEPT, "curve": {}, "area": {}, "gross at 0.5 over gross of all": {}}
     for name, values in {**scores, "oracle": o["errors"]}.items():

@@ -11,8 +11,11 @@ from fmsync.pipeline.pairwise import FINE
 _STEP = 5
 
 
-def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
-    """Errors and CPU seconds: fit, ZoomOut of it, and Consistent ZoomOut from its fit and from our matches."""
+def pyfm_stages(synced: SyncedShapes, judge, pairs, matches) -> tuple[dict, dict]:
+    """Errors and CPU seconds: fit, ZoomOut of it, and Consistent ZoomOut of it and of what our pipeline has.
+
+    ``matches`` are our pairwise maps before any synchronisation; ``synced`` holds those after it.
+    """
     from pyFM.FMN import FMN
     from pyFM.functional import FunctionalMapping
     from pyFM.mesh import TriMesh
@@ -27,12 +30,12 @@ def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
         mesh.A = sparse.dia_matrix((s.basis.mass[None], [0]), shape=(len(s.basis.mass),) * 2).tocsc()
         meshes.append(mesh)
 
-    def consistent(start):
+    def consistent(start, size):
         network = FMN(meshes)
         network.set_maps({(j, i): c.copy() for (i, j), c in start.items()})
         network.set_subsample(samples)
         network.M = n
-        while network.M < FINE:
+        while size > network.M:
             network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + _STEP, weight_type="icsm")
         return {(i, j): np.array(c) for (j, i), c in network.maps.items()}
 
@@ -53,12 +56,21 @@ def pyfm_stages(synced: SyncedShapes, judge, pairs) -> tuple[dict, dict]:
         seconds["pyFM ZoomOut, every pair both ways"] = (clock() - began) / len(pairs) * 2 * len(synced.edges)
         errors["pyFM pairwise"] = judge.mean(pairs, lambda i, j: fitted[i, j])
         errors["pyFM pairwise + ZoomOut"] = judge.mean(pairs, lambda i, j: refined[i, j])
-        ours = {tuple(e): m.c_ij[:n, :n] for e, m in zip(synced.edges.tolist(), synced.matches)}
-        ours |= {(j, i): c.T for (i, j), c in ours.items()}
-        for name, start in (("its own fit", fitted), ("our pairwise maps", ours)):
-            key = f"pyFM Consistent ZoomOut to {FINE} from {name}"
+        runs = (
+            ("its own fit", fitted, FINE),
+            ("our pairwise maps", _both_ways(synced.edges, matches, n), FINE),
+            ("our pairwise maps", _both_ways(synced.edges, matches, n), synced.refined.shape[-1]),
+            ("our pairs after proposals", _both_ways(synced.edges, synced.matches, n), FINE),
+        )
+        for name, start, size in runs:
+            key = f"pyFM Consistent ZoomOut to {size} from {name}"
             began = clock()
-            maps = consistent(start)
+            maps = consistent(start, size)
             seconds[key] = clock() - began
             errors[key] = judge.mean(pairs, lambda i, j, maps=maps: maps[i, j])
     return errors, seconds
+
+
+def _both_ways(edges, matches, n) -> dict:
+    one_way = {tuple(e): m.c_ij[:n, :n] for e, m in zip(edges.tolist(), matches)}
+    return one_way | {(j, i): c.T for (i, j), c in one_way.items()}

@@ -1,7 +1,6 @@
 """Where a vertex goes and how sure that is: images under posterior draws, and under the evidence of other shapes."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,16 +12,16 @@ from fmsync.pipeline.samples import SampledShape
 _NEAR = 0.05  # square roots of the area: images this near to each other count as one place
 _FAR = 0.12  # two places this far apart are two modes
 _SHARE = 0.2  # and both hold this share of the votes
-_BLOCKS = (20, 30, 50, 80)  # sizes of the leading blocks by which an image is checked
-_BLURRED = 50  # functions by which places are told apart: more of them follow the noise
+_NEIGHBOURS, _AROUND = 8, 0.15  # samples by which stretch is told, and square roots of the area it is averaged over
 
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
     """What is known of the images on shape j of the samples of shape i; lengths in square roots of the area.
 
-    Nothing here has seen a truth. Scatter, blur, drift and distortion are signs of errors of different kinds, and
-    :meth:`evidence` is what they say together.
+    Nothing here has seen a truth. Radius and entropy come from the posterior, spread from the observed maps: how far
+    maps contradict each other. Stretch and distortion are signs of errors that all maps share. :meth:`evidence` is
+    what the signs say together.
 
     Attributes
     ----------
@@ -40,18 +39,11 @@ class Confidence:
         (S,) whether two distant places both hold a fifth of the votes of the maps through other shapes.
     level
         Of the region, in (0, 1).
-    scatter
-        (S,) mean geodesic distance of the draws' images from ``image``: noise of the maps.
-    blur
-        (S,) mean geodesic distance from ``image`` of the samples, weighted by how alike their eigenfunctions are to
-        those of the moved sample: what a basis of this size does not resolve.
-    drift
-        (S,) mean geodesic distance from ``image`` to the images under smaller leading blocks of the map.
+    stretch
+        (S,) mean relative change of the distances to the nearest samples, averaged over the neighbourhood: where the
+        map tears, folds or slides; a pure number.
     distortion
         (S,) mean change of the geodesic distances to all other samples: wrong maps, shapes that are not isometric.
-    residual
-        (S,) distance of the moved sample's eigenfunctions from those of the nearest vertex, over the square root of
-        their number; a pure number.
     """
 
     mode: np.ndarray
@@ -61,20 +53,16 @@ class Confidence:
     entropy: np.ndarray
     two_modes: np.ndarray
     level: float
-    scatter: np.ndarray
-    blur: np.ndarray
-    drift: np.ndarray
+    stretch: np.ndarray
     distortion: np.ndarray
-    residual: np.ndarray
-
-    LENGTHS: ClassVar[tuple[str, ...]] = ("scatter", "blur", "drift", "distortion")
 
     def evidence(self) -> np.ndarray:
-        """(S,) larger where errors are likely: the plain sum of ``LENGTHS``, times the square root of the residual.
+        """(S,) larger where errors are likely: stretch times the square root of the sum of distortion and spread.
 
-        Weights fitted on one collection were no better on another than none.
+        Stretch ranks the vertices of a pair; distortion makes pairs and collections comparable; spread is large where
+        the maps of the collection contradict each other.
         """
-        return sum(getattr(self, name) for name in self.LENGTHS) * np.sqrt(self.residual)
+        return self.stretch * np.sqrt(self.distortion + self.spread)
 
 
 def confidence(
@@ -104,12 +92,9 @@ def confidence(
     at_i, at_j, g = first.sampled()[:, :m], second.sampled()[:, :m], second.geodesics
     with single_threaded_blas():
         hits = _nearest((at_i[:, :n] @ draws).reshape(-1, n), at_j[:, :n]).reshape(len(draws), -1)  # (T, S_i)
-        smaller = [_nearest(at_i[:, :k] @ c_ij[:k, :k], at_j[:, :k]) for k in _BLOCKS if k < m]
-        moved, everywhere = at_i @ c_ij, second.basis.eigenfunctions[:, :m]
+        moved = at_i @ c_ij
         image = _nearest(moved, at_j)
-        residual = np.linalg.norm(moved - everywhere[_nearest(moved, everywhere)], axis=1) / np.sqrt(m)
-        k = min(_BLURRED, m)
-        blur = _blur(at_i[:, :k] @ c_ij[:k, :k], at_j[:, :k], g[image])
+        vertex = _nearest(moved, second.basis.eigenfunctions[:, :m])
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)
@@ -122,11 +107,8 @@ def confidence(
         entropy=-(share * np.log(np.where(share > 0, share, 1))).sum(axis=1),
         two_modes=two_modes(votes, g),
         level=level,
-        scatter=away.mean(axis=0),
-        blur=blur,
-        drift=np.mean([g[k, image] for k in smaller], axis=0) if smaller else np.zeros(len(image)),
+        stretch=_stretch(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
-        residual=residual,
     )
 
 
@@ -149,12 +131,14 @@ def spread_out(first: SampledShape, values: np.ndarray) -> np.ndarray:
     return (weights * values[nearest]).sum(axis=1) / weights.sum(axis=1)
 
 
-def _blur(moved: np.ndarray, targets: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Mean of ``away`` (S_i, S_j), the distances from the image, weighted by how alike rows are to the moved ones.
+def _stretch(first: SampledShape, images: np.ndarray) -> np.ndarray:
+    """Mean relative change of the distances of samples to the nearest ones, given their images (S, 3); smoothed.
 
-    Likeness is Gaussian in the embedding, with the median squared distance of the nearest targets as its width.
+    Straight-line distances between vertices: neighbours are near, and images among samples would be too coarse.
     """
-    squared = (moved**2).sum(axis=1)[:, None] + (targets**2).sum(axis=1) - 2 * moved @ targets.T  # (S_i, S_j)
-    least = np.maximum(squared.min(axis=1), 0)
-    likeness = np.exp(-(squared - least[:, None]) / max(float(np.median(least)), 1e-12))
-    return (likeness * away).sum(axis=1) / likeness.sum(axis=1)
+    points, g = first.shape.vertices[first.samples], first.geodesics
+    near = np.argsort(g, axis=1, kind="stable")[:, 1 : _NEIGHBOURS + 1]  # (S, K)
+    before, after = (np.linalg.norm(x[:, None] - x[near], axis=2) for x in (points, images))
+    change = (np.abs(after - before) / np.maximum(before, 1e-9)).mean(axis=1)
+    weights = np.exp(-((g / _AROUND) ** 2))
+    return weights @ change / weights.sum(axis=1)

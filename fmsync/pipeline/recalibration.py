@@ -77,9 +77,9 @@ def fit_recalibration(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> lengths = rng.random((4, 400))
-    >>> known = Confidence(*np.zeros((6, 400)), 0.9, *lengths, np.ones(400))
-    >>> fitted = fit_recalibration([known], [rng.exponential(lengths.sum(axis=0))])
+    >>> stretch = rng.random(400)
+    >>> known = Confidence(*np.zeros((6, 400)), 0.9, stretch, np.ones(400))
+    >>> fitted = fit_recalibration([known], [rng.exponential(stretch)])
     >>> bool(abs(fitted.scale(0.9) / np.log(10) - 1) < 0.2)  # the 90 % quantile of an exponential law
     True
     """

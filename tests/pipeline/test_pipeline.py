@@ -9,7 +9,7 @@ import data_gen
 import fmsync
 from fmsync.bench.own_shapes_confidence import planted_flips, planted_noise
 from fmsync.pipeline import fit_recalibration, pairwise, synchronise
-from fmsync.pipeline.confidence import Confidence, two_modes
+from fmsync.pipeline.confidence import Confidence, _stretch, two_modes
 from fmsync.pipeline.doubts import doubts
 from fmsync.pipeline.samples import farthest_points, geodesics_between, orientation_operators
 from fmsync.pipeline.signs import rotation_signs
@@ -123,8 +123,7 @@ def test_recalibration_covers_what_it_promises():
     rng = np.random.default_rng(0)
     zeros = np.zeros(4000, dtype=int)
     spread = rng.uniform(0.01, 0.2, 4000)
-    lengths = [spread, 0 * spread, spread, spread]
-    known = Confidence(zeros, zeros, spread, spread, spread, zeros > 0, 0.9, *lengths, np.ones(4000))
+    known = Confidence(zeros, zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
     errors = 3 * spread * rng.exponential(size=4000)
     fitted = fit_recalibration([known], [errors])
     fresh = 3 * spread * rng.exponential(size=4000)
@@ -192,11 +191,11 @@ def test_evidence_grows_with_errors_it_has_not_seen(synced):
     direction = rng.standard_normal((size, size))
     direction = (direction - direction.T) / np.sqrt(size)
     evidence = []
-    for angle in (0.0, 0.3, 1.0):
+    for angle in (0.0, 0.6, 1.2):
         refined = synced.refined.copy()
         refined[1] = refined[1] @ fmsync.so.exp(angle * direction)
         evidence.append(np.median(replace(synced, refined=refined).confidence(0, 1).evidence()))
-    assert 1.2 * evidence[0] < evidence[1] < evidence[2]
+    assert 1.5 * evidence[0] < evidence[1] < evidence[2] / 1.5
 
 
 def test_images_of_one_vertex(synced):
@@ -242,3 +241,19 @@ def test_other_processes_are_sent_the_samples_alone(synced):
     )
     np.testing.assert_allclose(again.c_ij, whole.c_ij, atol=1e-12)
     assert light.shape.n_vertices == 200
+
+
+def test_stretch_is_none_under_a_copy_and_grows_with_scale(synced):
+    """Against the definition, sample by sample: eight nearest samples, then a Gaussian average."""
+    first = synced.shapes[0]
+    points, g = first.shape.vertices[first.samples], first.geodesics
+    assert _stretch(first, points) == pytest.approx(0)
+    np.testing.assert_allclose(_stretch(first, 1.3 * points + 1), 0.3, atol=1e-12)
+    images = points + 0.02 * np.random.default_rng(0).standard_normal(points.shape)
+    change = np.empty(len(points))
+    for k in range(len(points)):
+        near = [x for x in np.argsort(g[k], kind="stable") if x != k][:8]
+        before, after = (np.array([np.linalg.norm(x[k] - x[near_k]) for near_k in near]) for x in (points, images))
+        change[k] = np.mean(np.abs(after / before - 1))
+    expected = [np.average(change, weights=np.exp(-((row / 0.15) ** 2))) for row in g]
+    np.testing.assert_allclose(_stretch(first, images), expected, rtol=1e-9)
