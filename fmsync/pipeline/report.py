@@ -24,14 +24,16 @@ _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>Correspondences of {count} shapes</title>
 <style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a;
-  background: #fff }}
+:root {{ color-scheme: light dark; --line: #ddd; --doubt: #fdf1f0; --pink: #b3147f }}
+@media (prefers-color-scheme: dark) {{ :root {{ --line: #444; --doubt: #3a1f1d; --pink: #ff7ccb }} }}
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
+  color: light-dark(#1a1a1a, #e6e6e6); background: light-dark(#fff, #16181c) }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
-td, th {{ padding: .15rem .7rem; text-align: right; border-bottom: 1px solid #ddd }}
+td, th {{ padding: .15rem .7rem; text-align: right; border-bottom: 1px solid var(--line) }}
 td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) {{ text-align: left }}
-.doubts {{ border-left: .3rem solid #b3261e; padding: .1rem 1rem; background: #fdf1f0 }}
+.doubts {{ border-left: .3rem solid #b3261e; padding: .1rem 1rem .1rem 2rem; background: var(--doubt) }}
 .wide {{ overflow-x: auto }} .stage {{ display: flex; flex-wrap: wrap; gap: 1rem }}
-figure {{ margin: 0; flex: 1 1 17rem; max-width: 24rem }} canvas {{ width: 100%; touch-action: none; cursor: grab }}
+figure {{ margin: 0; flex: 1 1 17rem; max-width: 24rem }} canvas {{ width: 100%; touch-action: pan-y; cursor: grab }}
 figcaption, label {{ font-size: .9rem }} select {{ font: inherit }}
 .bar {{ display: inline-block; width: 7rem; height: .7rem; background: linear-gradient(90deg, {ramp}) }}
 </style></head><body>
@@ -47,12 +49,13 @@ figcaption, label {{ font-size: .9rem }} select {{ font: inherit }}
 <figcaption>Source, every vertex with the colour of its image</figcaption></figure>
 <figure><canvas id="unsure" width="480" height="480" role="img" aria-label="Source shape, by uncertainty"></canvas>
 <figcaption>Source, radius of the {level:.0%} region, √area: 0 <span class="bar"></span>
-{top:.2f}; <b style="color:#d81b9a">pink</b>: two candidate places</figcaption></figure>
+{top:.2f}; <b style="color: var(--pink)">pink</b>: two candidate places</figcaption></figure>
 </div>
 <p id="words"></p>
 <h2>Every pair that was matched</h2>
-<p>Distortion: mean change of geodesic distances. Orientation: 1 keeps left and right, -1 swaps them. Believed: how far
-the pair counted in the robust synchronisation.</p>
+<p>Distortion: mean change of geodesic distances. Orientation: 1 keeps left and right, -1 swaps them. Residual: distance
+of the pair's own map from the synchronised one. Believed: how far the pair counted in the robust synchronisation. Sign
+disagrees: it contradicts the left and right of the others.</p>
 <div class="wide">{edges}</div>
 <script type="application/json" id="data">{data}</script>
 <script>{viewer}</script>
@@ -79,7 +82,9 @@ def report(
         level=level,
         top=top,
         ramp=ramp,
-        edges=edges.to_html(index=False, float_format="%.3g", border=0),
+        edges=edges.rename(columns=lambda name: name.replace("_", " "))
+        .replace({"sign disagrees": {True: "yes", False: "no"}})
+        .to_html(index=False, float_format="%.3g", border=0),
         data=json.dumps(_data(synced, known, radii, edges, top)).replace("<", "\\u003c"),
         viewer=_VIEWER.read_text(encoding="utf-8"),
     )
@@ -156,6 +161,6 @@ def _summary(synced, known, radii, edges, recalibration, level) -> list[str]:
         f"How large a region must be was learnt from: {recalibration.fitted_on}. Shapes of another kind may need their "
         "own recalibration.",
         f"{double:.1%} of the vertices have two candidate places, usually the left and the right of a symmetric part.",
-        f"{len(doubted)} pairs were given up because the others contradict them{given_up}.",
+        f"{len(doubted) or 'No'} pairs were given up because the others contradict them{given_up}.",
         f"Least certain of all shapes: {synced.names[int(np.argmax(unsure))]}.",
     ]
