@@ -49,7 +49,8 @@ def refit(loaded: dict) -> Recalibration:
     """Recalibration from all collections together."""
     observed = [observe(shapes) for shapes in loaded.values()]
     known, errors = ([x for o in observed for x in o[part]] for part in ("known", "errors"))
-    return fit_recalibration(known, errors, " and ".join(f"{len(x)} {n}" for n, x in loaded.items()).replace("_", " "))
+    words = " and ".join(f"{len(x)} {n.replace('_', ' ')}" for n, x in loaded.items())
+    return fit_recalibration(known, errors, words.replace("cats", "synthetic cats"))
 
 
 def observe(shapes) -> dict:
