@@ -27,7 +27,7 @@ from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Shape
 
-_GROWTH, _SETTLE = 1.7, 1  # of the maps at each step of the last refinement, and steps at its final size
+_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step of the last refinement, and steps at its final size
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _STRANGER = 0.25  # mean change of log eigenvalues from the median shape
