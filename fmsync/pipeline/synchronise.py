@@ -200,7 +200,8 @@ def synchronize_shapes(
         raise ValueError(f"landmarks: {len(landmarks)} lists for {len(shapes)} shapes")
     rng = np.random.default_rng(rng)
 
-    run = Parallel(n_jobs=jobs, return_as="generator")
+    # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
+    run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
     marks = [None] * len(shapes) if landmarks is None else landmarks
     tasks = (delayed(sample_shape)(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks))
     sampled = tuple(tqdm(run(tasks), "bases", len(shapes), disable=not progress))
