@@ -84,7 +84,7 @@ def report(
         ramp=ramp,
         edges=edges.rename(columns=lambda name: name.replace("_", " "))
         .replace({"sign disagrees": {True: "yes", False: "no"}})
-        .to_html(index=False, float_format="%.3g", border=0),
+        .to_html(index=False, float_format="%.3f", border=0),
         data=json.dumps(_data(synced, known, radii, edges, top)).replace("<", "\\u003c"),
         viewer=_VIEWER.read_text(encoding="utf-8"),
     )
