@@ -100,7 +100,7 @@ def relative_error_bound(
 def langevin_error_bound(
     n_nodes: int, edges: np.ndarray, n: int, kappa: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
-    r"""Small-error floor :math:`d^2 R_{ij} / (d\,\kappa\beta_n(\kappa))` under matrix-Langevin noise.
+    r"""Small-error floor :math:`d\,R_{ij} / (\kappa\beta_n(\kappa))` under matrix-Langevin noise.
 
     :math:`\kappa\beta_n(\kappa)` is the Fisher information of one observation per dimension of SO(n), d = n(n-1)/2;
     :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`.
@@ -108,7 +108,7 @@ def langevin_error_bound(
     Parameters
     ----------
     n_nodes, edges, n, pairs
-        As in :func:`relative_error_bound`.
+        As in :func:`fmsync.relative_error_bound`.
     kappa
         Concentration of the observations, > 0.
 
@@ -145,7 +145,7 @@ def expected_rms_error(
     Returns
     -------
     ndarray
-        (K,) as in :func:`relative_error_bound`, but not squared.
+        (K,) as in :func:`fmsync.relative_error_bound`, but not squared.
 
     Examples
     --------
@@ -164,7 +164,9 @@ def expected_rms_error(
 
 @cache
 def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMPLES) -> tuple[float, float]:
-    r"""Moments (E tr Z, E‖skew Z‖²_F) of the paper's noise Z = proj(I + σG), averaged over a fixed sample.
+    r"""Moments (:math:`E\operatorname{tr}Z`, :math:`E\lVert\mathrm{skew}\,Z\rVert_F^2`) of the paper's noise.
+
+    Z = proj(I + σG), averaged over a fixed sample.
 
     Examples
     --------

@@ -17,7 +17,7 @@ _DENSE_UP_TO = 1200  # matrix size; there the dense eigensolver takes about as l
 
 @dataclass(frozen=True)
 class Certificate:
-    """What :func:`certify` found.
+    """What :func:`fmsync.certify` found.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Certificate:
 
 
 def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificate:
-    r"""Certificate of global optimality of the Euclidean energy over O(n)^N, hence over SO(n)^N.
+    r"""Certificate of global optimality of the Euclidean energy over :math:`O(n)^N`, hence over :math:`SO(n)^N`.
 
     With B the block matrix of the observations and :math:`\Lambda_i = \operatorname{sym}(C_i^\top S_i)`, the matrix
     :math:`Q = \operatorname{blkdiag}(\Lambda) - B` is positive semidefinite only at a global minimum, and always

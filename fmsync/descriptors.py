@@ -25,7 +25,8 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
 
     Returns
     -------
-    (V, K), short times first.
+    ndarray
+        (V, K), short times first.
 
     Raises
     ------
@@ -57,7 +58,8 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
 
     Returns
     -------
-    (V, K), low energies first; the area-weighted mean of every column is 1.
+    ndarray
+        (V, K), low energies first; the area-weighted mean of every column is 1.
 
     Raises
     ------
@@ -98,7 +100,8 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
 
     Returns
     -------
-    (V, L * n_times), the times of the first landmark first.
+    ndarray
+        (V, L * n_times), the times of the first landmark first.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def rhat(values: np.ndarray) -> float:
 
 
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
-    """Effective sample size of (chains, draws): ``kind`` "bulk" for the middle of the law, "tail" for its quantiles.
+    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of the law, ``"tail"`` for its quantiles.
 
     Examples
     --------

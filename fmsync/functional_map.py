@@ -15,14 +15,17 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
 
     Parameters
     ----------
-    basis_i, basis_j
-        Bases of n_i and n_j functions on V_i and V_j vertices.
+    basis_i
+        Basis of n_i functions on V_i vertices.
+    basis_j
+        Basis of n_j functions on V_j vertices.
     point_map
         (V_i,) the vertex of j that each vertex of i goes to: P f = f[point_map].
 
     Returns
     -------
-    (n_i, n_j) matrix.
+    ndarray
+        (n_i, n_j) matrix.
 
     Raises
     ------
@@ -72,10 +75,12 @@ def functional_map_from_descriptors(
 
     Parameters
     ----------
-    basis_i, basis_j
-        Bases of n_i and n_j functions on V_i and V_j vertices.
+    basis_i
+        Basis of n_i functions on V_i vertices.
+    basis_j
+        Basis of n_j functions on V_j vertices.
     descriptors_i, descriptors_j
-        (V_i, K) and (V_j, K) functions; column k of both is the same quantity.
+        Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
     orthogonal
         Search SO(n) instead of all matrices; needs n_i = n_j. The best rotation is a poor answer when the true map is
         near a reflection: fix the signs of the eigenfunctions first (:meth:`Basis.with_flipped`).
@@ -84,7 +89,8 @@ def functional_map_from_descriptors(
 
     Returns
     -------
-    (n_i, n_j) matrix.
+    ndarray
+        (n_i, n_j) matrix.
 
     Raises
     ------
@@ -120,21 +126,24 @@ def functional_map_from_descriptors(
 def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.ndarray | None = None) -> np.ndarray:
     r"""Point map of a functional map: x goes to :math:`\arg\min_y \lVert (\Phi_i C_{ij})_x - (\Phi_j)_y \rVert`.
 
-    An exhaustive search in blocks that stay in the cache, one matrix product each: a k-d tree is faster on clean maps
-    but several times slower on noisy ones, where nothing can be pruned.
+    An exhaustive search in blocks that stay in the cache, one matrix product each: a search tree is faster on clean
+    maps but several times slower on noisy ones, where nothing can be pruned.
 
     Parameters
     ----------
     c_ij
         (n_i, n_j) functional map.
-    basis_i, basis_j
-        Bases of n_i and n_j functions on V_i and V_j vertices.
+    basis_i
+        Basis of n_i functions on V_i vertices.
+    basis_j
+        Basis of n_j functions on V_j vertices.
     vertices
         (v,) vertices of i to map; all of them if None.
 
     Returns
     -------
-    (V_i,) or (v,) vertices of j. Ties go to the lowest index.
+    ndarray
+        (V_i,) or (v,) vertices of j. Ties go to the lowest index.
 
     Raises
     ------

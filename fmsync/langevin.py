@@ -7,7 +7,8 @@ cancel; the recurrence of the orthogonal polynomials of that weight does neither
 on Gauss–Jacobi nodes): with :math:`\alpha_j, b_j` its coefficients and k = ⌊n/2⌋,
 
 .. math::
-    \frac{d}{d\kappa}\log c_n = [n\ \mathrm{odd}] + 2\sum_{j<k}\alpha_j, \qquad
+    \frac{d}{d\kappa}\log c_n = [n\ \mathrm{odd}] + 2\sum_{j<k}\alpha_j,
+
     \log c_n = [n\ \mathrm{odd}]\,\kappa + \sum_{j<k} \log\frac{h_j(\kappa)}{h_j(0)}, \quad h_j = h_0 b_1^2\cdots b_j^2.
 """
 

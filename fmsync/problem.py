@@ -351,11 +351,13 @@ def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
+    A direction that no edge observes is read as the transpose of the other one, which only rotations justify; of
+    repeated edges the last counts.
+
     Parameters
     ----------
     n_nodes, edges, maps
-        As in :class:`SyncProblem`. A direction that no edge observes is read as the transpose of the other one, which
-        only rotations justify; of repeated edges the last counts.
+        As in :class:`SyncProblem`.
 
     Returns
     -------

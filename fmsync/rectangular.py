@@ -150,8 +150,10 @@ def solve_rectangular(
         ``"spectral"``, ``"random"``, or N arrays (m, n_i) with orthonormal columns.
     rng
         Seed or generator of the start.
-    callback, tolerance, max_iterations
-        As in ``"mle"``; absolute maps come padded with zero columns, (N, m, max n_i).
+    callback
+        As in :func:`fmsync.solve`; absolute maps come padded with zero columns, (N, m, max n_i).
+    tolerance, max_iterations
+        As in ``"mle"``.
 
     Returns
     -------

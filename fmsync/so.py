@@ -33,8 +33,10 @@ def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    c, v
-        Rotations and ambient vectors, both (..., n, n).
+    c
+        Rotations (..., n, n).
+    v
+        Ambient vectors (..., n, n).
 
     Returns
     -------
@@ -260,8 +262,10 @@ def frechet_mean(
         ``"chordal"``: :math:`\lVert A-B\rVert_F`, in closed form the projection of the arithmetic mean.
         ``"geodesic"``: by the fixed point :math:`M \leftarrow M\exp(\overline{\log(M^\top R_k)})`, started at the
         chordal mean; unique when all rotations lie within π/2 (operator norm) of it.
-    tolerance, max_iterations
-        The fixed point stops when the mean logarithm is shorter than ``tolerance``.
+    tolerance
+        The fixed point stops when the mean logarithm is shorter.
+    max_iterations
+        Steps of the fixed point, at most.
 
     Returns
     -------

@@ -48,13 +48,13 @@ class Estimate:
     n_iterations, converged
         Accepted steps of the optimiser (0 for direct methods) and whether its tolerance was met.
     trace
-        :class:`Trace`, or None for direct methods.
+        :class:`~fmsync.estimators.Trace`, or None for direct methods.
     on_group
         Whether ``absolute`` are rotations; unconstrained estimates are not.
     n_starts, n_agreeing
         With ``restarts=k``: how many starts were made, and how many of them came to this cost.
     edge_weights
-        (E,) in [0, 1] how far ``"robust"`` believed each edge; None for the others.
+        (E,) in [0, 1]: how far ``"robust"`` believed each edge; None for the others.
     """
 
     problem: SyncProblem

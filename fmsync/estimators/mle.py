@@ -29,8 +29,8 @@ def mle(
     rng
         Used by the start.
     init
-        ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`Estimate`, also of a problem that had
-        only the first few of these nodes: after a change this saves the spectral start.
+        ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a problem
+        that had only the first few of these nodes: after a change this saves the spectral start.
     group
         ``"SO"`` for rotations; ``"O"`` for orthogonal matrices, where maps may reverse orientation. Steps keep every
         determinant, so that the start decides them; :func:`fmsync.certify` says whether it decided well.

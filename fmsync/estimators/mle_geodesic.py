@@ -27,12 +27,12 @@ def mle_geodesic(
 ) -> Estimate:
     r"""Minimise :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` over rotations.
 
-    Quasi-Newton (L-BFGS) in the frame of the universe, C_i ← exp(ω_i) C_i, where the first-order model of the cost is
-    the scalar graph Laplacian, factored once (Govindu 2004): that is the metric the two-loop recursion starts from.
-    The logarithm jumps at the cut locus, where an eigen-angle of an edge reaches π, and at the paper's noise a
-    start has many edges near it. The cost is continuous there and bends downwards on both sides, so that no minimum
-    lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which would have
-    negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
+    Quasi-Newton (L-BFGS) in the frame of the universe, :math:`C_i\leftarrow\exp(\omega_i)C_i`, where the first-order
+    model of the cost is the scalar graph Laplacian, factored once (Govindu 2004): that is the metric the two-loop
+    recursion starts from. The logarithm jumps at the cut locus, where an eigen-angle of an edge reaches π, and at the
+    paper's noise a start has many edges near it. The cost is continuous there and bends downwards on both sides, so
+    that no minimum lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which
+    would have negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
 
     Parameters
     ----------
@@ -40,8 +40,12 @@ def mle_geodesic(
         Observed rotations; maps off SO(n) are projected to it first.
     rng
         Used by the start.
-    init, tolerance, max_iterations
-        As in ``"mle"``, for the gradient of U_R.
+    init
+        As in ``"mle"``.
+    tolerance
+        Norm of the Riemannian gradient of U_R at which to stop.
+    max_iterations
+        Quasi-Newton steps, at most.
 
     Returns
     -------

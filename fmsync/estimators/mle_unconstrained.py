@@ -34,8 +34,10 @@ def mle_unconstrained(
     solver
         ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
         random start, to watch a convergence.
-    tolerance, max_iterations
+    tolerance
         For ``"iterative"``: norm of the gradient at which to stop.
+    max_iterations
+        For ``"iterative"``: steps of conjugate gradients, at most.
 
     Returns
     -------

@@ -49,7 +49,7 @@ def mean_of_starts(
     n_starts
         10 in the paper.
     method
-        An iterative method on SO(n)^N with an ``init`` option.
+        An iterative method on :math:`SO(n)^N` with an ``init`` option.
     rng
         Seed or generator of the starts.
     distance

@@ -50,9 +50,13 @@ def robust(
         Used by the start.
     loss
         ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    init, group, tolerance, max_iterations
-        As in ``"mle"``; iterations are rounds, and the gradient is that of the weighted squares, scaled to a mean
-        weight of 1. At a fixed point it is proportional to the gradient of the robust cost.
+    init, group
+        As in ``"mle"``.
+    tolerance
+        Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
+        it is proportional to the gradient of the robust cost.
+    max_iterations
+        Rounds, at most.
 
     Returns
     -------

@@ -24,9 +24,9 @@ def spectral(
 ) -> Estimate:
     r"""Synchronize by the leading eigenvectors of the degree-normalised connection matrix.
 
-    Relaxes :math:`\max\sum w\operatorname{tr}(C_{ij}^\top C_i^\top C_j)` from SO(n)^N to orthonormal frames and rounds
-    every block to the nearest rotation (Singer 2011, Singer & Wu 2012). Exact for consistent maps; recovers something
-    while the mean cosine of the noise exceeds :math:`1/\sqrt{N+1}`.
+    Relaxes :math:`\max\sum w\operatorname{tr}(C_{ij}^\top C_i^\top C_j)` from :math:`SO(n)^N` to orthonormal frames and
+    rounds every block to the nearest rotation (Singer 2011, Singer & Wu 2012). Exact for consistent maps; recovers
+    something while the mean cosine of the noise exceeds :math:`1/\sqrt{N+1}`.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class SyncedShapes:
     edges, matches
         (E, 2) pairs and their maps from descriptors, after refinement.
     signs, violating
-        (N,) ±1, and the edges whose determinant disagrees (see ``rotation_signs``).
+        (N,) ±1, and the edges whose determinant disagrees with them.
     problem, estimate, posterior
         The n x n synchronisation problem, its robust answer, and draws (None if none were asked for).
     refined
@@ -169,6 +169,11 @@ def synchronize_shapes(
         Show a bar for each long stage.
     rng
         Seed or generator of estimators and sampler.
+
+    Returns
+    -------
+    SyncedShapes
+        Maps of every pair, and draws if there are.
 
     Raises
     ------

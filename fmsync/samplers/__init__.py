@@ -39,7 +39,7 @@ def sampler(name: str) -> Callable[[type], type]:
 
 
 def methods() -> list[str]:
-    """Names that :func:`sample` knows.
+    """Names that :func:`fmsync.sample` knows.
 
     Examples
     --------
@@ -72,13 +72,17 @@ def sample(
     problem
         What was observed.
     method
-        A name of :func:`methods`.
+        A name of :func:`fmsync.samplers.methods`.
     rng
         Seed or generator: same seed, same draws.
-    n_chains, n_draws
-        Chains, and draws kept of each.
-    warmup, thin
-        Steps thrown away before the first draw; steps from one draw to the next.
+    n_chains
+        Chains, run as one batch.
+    n_draws
+        Draws kept of each chain.
+    warmup
+        Steps thrown away before the first draw.
+    thin
+        Steps from one draw to the next.
     init
         Where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``, every other
         chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for all chains,

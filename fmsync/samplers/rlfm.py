@@ -32,7 +32,7 @@ class RLFM:
         False: arbitrary matrices with the energy :math:`\sum w\lVert C_i C_{ij}-C_j\rVert_F^2`, MC (1) of the paper, in
         the gauge C_1 = I (or that of the prior); without a gauge its mean is 0. Draws are projected one by one.
     step
-        h > 0. By default :func:`default_step`, a small part of the time in which the stiffest direction relaxes; the
+        h > 0. By default ``default_step``, a small part of the time in which the stiffest direction relaxes; the
         noise then turns no plane by more than about half a radian.
     kappa, beta
         Temperature, one of the two: κ = 2β for either energy. β = 1 by default, as in the paper, whatever the noise.

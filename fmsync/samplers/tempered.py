@@ -32,14 +32,14 @@ class Tempered:
     rungs
         Replicas R >= 2 of a chain. Take more when ``settings["swaps"]`` falls below 0.2.
     hottest
-        Concentration of the hottest replica as a share of κ, in [0, 1); by default 1e-3, nearly uniform maps.
+        Concentration of the hottest replica as a share of κ, in (0, 1); by default 1e-3, nearly uniform maps.
     energy
         ``"euclidean"``, or ``"geodesic"`` with a gradient sampler as base.
 
     Raises
     ------
     ValueError
-        ``kappa="auto"``, unknown choices, a ladder that is none.
+        ``kappa="auto"``, unknown choices, fewer than two rungs, ``hottest`` outside (0, 1).
     """
 
     def __init__(

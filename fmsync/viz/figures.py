@@ -99,7 +99,7 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
 
 
 def picture(fig: Figure, alt: str) -> Picture:
-    """Freeze a matplotlib figure as a :class:`Picture` with alt text, and close it.
+    """Freeze a matplotlib figure as a ``Picture`` with alt text, and close it.
 
     Type smaller than 10 points is raised to that: it could not be read on a phone.
 
@@ -160,8 +160,10 @@ def heatmaps(
         What the figure shows.
     clim
         Limits shared by all panels; by default symmetric about zero and wide enough for every entry.
-    cmap, label
-        Colour map, and the label of the colour bar (name and unit).
+    cmap
+        Colour map.
+    label
+        Label of the colour bar: name and unit.
     columns
         Panels in a row.
 

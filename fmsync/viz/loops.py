@@ -63,7 +63,7 @@ class Loop:
 
 
 def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
-    """Join matplotlib figures of one size into a :class:`Loop`, and close them.
+    """Join matplotlib figures of one size into a ``Loop``, and close them.
 
     Parameters
     ----------
@@ -71,8 +71,10 @@ def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: flo
         At least two figures, e.g. a generator that draws them one by one.
     alt
         What is shown and how it moves, in one or two sentences.
-    seconds, rest
-        Time of one frame, and of the last, which is also the still.
+    seconds
+        Time of one frame.
+    rest
+        Time of the last frame, which is also the still.
 
     Raises
     ------

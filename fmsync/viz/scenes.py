@@ -133,8 +133,12 @@ def scene(
         K strings; by default the ``name`` of each mesh.
     alt
         What the scene shows, in one or two sentences.
-    cmap, clim, label
-        Colour map, limits shared by all shapes (by default the range of all scalars), and the label of the colour bar.
+    cmap
+        Colour map.
+    clim
+        Its limits, shared by all shapes; by default the range of all scalars.
+    label
+        Label of the colour bar.
     points
         K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
     flat
