@@ -54,6 +54,14 @@ def test_draws_may_differ_more_than_estimates(frame):
     assert verdicts(verify(far, 6, rng=0))["heat-bath"] == "differs"
 
 
+def test_a_metric_that_a_seed_does_not_have_is_left_out(frame):
+    without = frame[~((frame.metric == "cycle_error") & (frame.seed == 1) & (frame.label == "mle"))]
+    found = list(verify(without, 6, rng=0))
+    assert {one.verdict for one in found} == {"equal"}
+    told = {one.cell for one in found if one.metric == "cycle_error"}
+    assert len({one.cell for one in found}) - len(told) == 1
+
+
 def test_a_cell_that_fails_now_is_told(frame):
     def failing(again):
         return {**run_cell(again), "status": "timeout"}
