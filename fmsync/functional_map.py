@@ -61,8 +61,8 @@ def functional_map_from_descriptors(
 
     Minimises, with descriptor coefficients A on i and B on j,
 
-    .. math:: \lVert C B - A \rVert_F^2 + w \lVert B \rVert_F^2 \sum_{ab} (\lambda^i_a - \lambda^j_b)^2 C_{ab}^2 /
-              \lambda_{\max}^2,
+    .. math:: \lVert C B - A \rVert_F^2 + w \lVert B \rVert_F^2 \sum_{ab}
+              \frac{(\lambda^i_a - \lambda^j_b)^2}{\lambda_{\max}^2}\,C_{ab}^2,
 
     where the second term is small when C commutes with the Laplacians. Both weights are relative, so scaling all
     descriptors changes nothing; scaling one of them weighs it against the rest.

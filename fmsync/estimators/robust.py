@@ -35,8 +35,9 @@ def robust(
     raises the cost (iteratively reweighted least squares; for the mixture, expectation–maximisation). Losses:
 
     * ``"mixture"``: an observation is Langevin with probability 1 - ε and Haar-uniform on SO(n) with probability ε,
-      :math:`-\sum w\log\bigl((1-\varepsilon)e^{\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j)}/c_n(\kappa)
-      + \varepsilon\bigr)`, with the exact normaliser :func:`fmsync.langevin.log_normaliser`; κ and ε are estimated.
+      :math:`-\sum w\log\bigl((1-\varepsilon)\,p_{ij} + \varepsilon\bigr)` with
+      :math:`p_{ij} = e^{\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j)}/c_n(\kappa)` and the exact
+      normaliser :func:`fmsync.langevin.log_normaliser`; κ and ε are estimated.
     * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
     * ``"l1"``: :math:`\sum w\sqrt{r^2+\delta^2}`, :math:`\delta = 10^{-4}\sqrt n` (Wang & Singer 2013).
 
