@@ -7,11 +7,11 @@ cancel; the recurrence of the orthogonal polynomials of that weight does neither
 on Gauss–Jacobi nodes): with :math:`\alpha_j, b_j` its coefficients and k = ⌊n/2⌋,
 
 .. math::
-    \frac{d}{d\kappa}\log c_n = [n\ \mathrm{odd}] + 2\sum_{j<k}\alpha_j,
+    \frac{d}{d\kappa}\log c_n &= [n\ \mathrm{odd}] + 2\sum_{j<k}\alpha_j,
 
-    \log c_n = [n\ \mathrm{odd}]\,\kappa + \sum_{j<k} \log\frac{h_j(\kappa)}{h_j(0)},
+    \log c_n &= [n\ \mathrm{odd}]\,\kappa + \sum_{j<k} \log\frac{h_j(\kappa)}{h_j(0)},
 
-    h_j = h_0 b_1^2\cdots b_j^2.
+    h_j &= h_0 b_1^2\cdots b_j^2.
 """
 
 import numpy as np

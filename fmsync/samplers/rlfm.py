@@ -15,9 +15,9 @@ class RLFM:
     r"""Riemannian Langevin functional map sampler: unadjusted, so its law is off by O(h).
 
     .. math::
-        V_i = \Pi_{C_i}\bigl(-h\,\nabla_i U + \sqrt{2h/\beta}\,Z_i\bigr),
+        V_i &= \Pi_{C_i}\bigl(-h\,\nabla_i U + \sqrt{2h/\beta}\,Z_i\bigr),
 
-        C_i \leftarrow R_{C_i}(V_i)
+        C_i &\leftarrow R_{C_i}(V_i)
 
     with standard normal Z_i, for the density :math:`\exp(-\beta U)` with respect to Haar measure. The paper prints the
     drift with a plus sign; that chain climbs U and samples :math:`\exp(+\beta U)`.
