@@ -49,7 +49,7 @@ def fingerprint(start: Iterable[str]) -> str:
     digest = hashlib.sha256()
     for name in used_modules(start):
         digest.update(f"{name}\n".encode())
-        digest.update(ast.dump(_tree(name)).encode())
+        digest.update(_code(name))
     return digest.hexdigest()
 
 
@@ -113,6 +113,12 @@ def method_modules(name: str) -> set[str]:
 def _file(name: str) -> Path:
     loaded = getattr(sys.modules.get(name), "__file__", None)
     return Path(loaded or importlib.util.find_spec(name).origin)
+
+
+@cache
+def _code(name: str) -> bytes:
+    """What is hashed of a module; most methods share most modules."""
+    return ast.dump(_tree(name)).encode()
 
 
 @cache

@@ -25,10 +25,11 @@ def collections(loaded: dict) -> dict:
     """Errors, coverage and selective use on every collection, recalibrated on each and as the package ships it."""
     observed = {name: observe(shapes) for name, shapes in loaded.items()}
     fitted = {name: fit_recalibration(o["known"], o["errors"], name) for name, o in observed.items()}
-    found, peers = {}, True  # on the first collection alone: they take most of the time
-    for name, o in observed.items():
+    found = {}
+    for k, (name, o) in enumerate(observed.items()):
         others = {f"recalibrated on {other}": r for other, r in fitted.items()} | {"as shipped": shipped()}
         strange = next((r for other, r in fitted.items() if other != name), shipped())
+        peers = k == 0  # on the first collection alone: they take most of the time
         found[name] = accuracy(o["synced"], o["judge"], peers) | {
             "kappa": float(o["synced"].posterior.kappa.mean()),
             "map error over posterior spread": misspecified(o["synced"]),
@@ -41,7 +42,6 @@ def collections(loaded: dict) -> dict:
             "ranked by the recalibration of": strange.fitted_on,
             "selective": selective(o, strange),
         }
-        peers = False
     return found
 
 

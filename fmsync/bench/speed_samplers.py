@@ -109,7 +109,7 @@ def table(chains: tuple[int, ...] = (1, 64)) -> pd.DataFrame:
 def efficiency(problem: SyncProblem, method: str, n_draws: int, warmup: int, **options) -> tuple[float, float, float]:
     """Least ESS over the energy, tr C_12 and an entry of C_12: by CPU second, by second of the clock, and by step.
 
-    Draws are looked at and not stored: to put one into memory takes half as long as a sweep of the heat bath.
+    Draws are looked at and not stored: it is the sampler that is timed, not the memory.
     """
     seen, times = [], []
 

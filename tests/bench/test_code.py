@@ -21,7 +21,7 @@ def package(tmp_path, monkeypatch):
     yield folder
     for name in [name for name in sys.modules if name.startswith("stale_package")]:
         del sys.modules[name]
-    code._tree.cache_clear(), code._imports.cache_clear(), code._file.cache_clear()
+    code._code.cache_clear(), code._tree.cache_clear(), code._imports.cache_clear(), code._file.cache_clear()
 
 
 def test_imports_are_followed_and_strangers_are_not(package):
@@ -47,7 +47,7 @@ def test_imports_are_followed_and_strangers_are_not(package):
 def test_an_edit_shows_where_it_matters(package, edited, text, stale):
     before = code.fingerprint(["stale_package.a"])
     (package / f"{edited}.py").write_text(text)
-    code._tree.cache_clear(), code._imports.cache_clear()
+    code._code.cache_clear(), code._tree.cache_clear(), code._imports.cache_clear()
     assert (code.fingerprint(["stale_package.a"]) != before) == stale
 
 
