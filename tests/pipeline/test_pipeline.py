@@ -191,11 +191,12 @@ def test_evidence_grows_with_errors_it_has_not_seen(synced):
     direction = rng.standard_normal((size, size))
     direction = (direction - direction.T) / np.sqrt(size)
     evidence = []
-    for angle in (0.0, 0.6, 1.2):
+    for angle in (0.0, 0.3, 0.6, 1.2):
         refined = synced.refined.copy()
         refined[1] = refined[1] @ fmsync.so.exp(angle * direction)
         evidence.append(np.median(replace(synced, refined=refined).confidence(0, 1).evidence()))
-    assert 1.5 * evidence[0] < evidence[1] < evidence[2] / 1.5
+    assert evidence == sorted(evidence)
+    assert 1.5 * evidence[0] < evidence[2] < evidence[3] / 1.5
 
 
 def test_images_of_one_vertex(synced):

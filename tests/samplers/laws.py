@@ -5,6 +5,8 @@ import numpy as np
 import data_gen
 import fmsync
 
+ONE_EDGE_OF_SO20 = [(3, 3.0000), (10, 10.1674), (30, 16.8173)]  # kappa and the exact mean of the trace
+
 
 def one_edge(n):
     return fmsync.SyncProblem(2, [[0, 1]], np.eye(n)[None])

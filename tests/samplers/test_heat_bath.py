@@ -16,7 +16,7 @@ import fmsync
 from fmsync import langevin, so
 from fmsync.problem import neighbour_sums
 from fmsync.samplers import _crew, _heat, _levels, _random
-from tests.samplers.laws import mean_and_error, noisy, one_edge
+from tests.samplers.laws import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
 
 
 def test_generators_against_their_definition():
@@ -146,7 +146,7 @@ def test_sweep_against_its_slow_twin(n, with_prior):
     assert gains.sum() == pytest.approx(change, abs=1e-9)
 
 
-@pytest.mark.parametrize(("kappa", "exact"), [(3, 3.0000), (10, 10.1674), (30, 16.8173)])
+@pytest.mark.parametrize(("kappa", "exact"), ONE_EDGE_OF_SO20)
 def test_one_edge_of_so20(kappa, exact):
     p = one_edge(20)
     post = fmsync.sample(p, "heat-bath", kappa=kappa, n_chains=32, n_draws=300, warmup=30, init="dispersed", rng=kappa)

@@ -8,7 +8,7 @@ import fmsync
 from fmsync import problem as energies
 from fmsync import so
 from fmsync.samplers.hmc import HMC, DualAveraging
-from tests.samplers.laws import mean_and_error, noisy, one_edge
+from tests.samplers.laws import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
 
 
 @pytest.mark.parametrize("integrator", ["cayley", "exp"])
@@ -52,7 +52,7 @@ def test_gradient_of_the_potential_by_differences(energy):
     assert (ends[0] - ends[1]) / 2e-5 == pytest.approx(slope, rel=1e-6)
 
 
-@pytest.mark.parametrize(("kappa", "exact"), [(3.0, 3.0000), (10.0, 10.1674), (30.0, 16.8173)])
+@pytest.mark.parametrize(("kappa", "exact"), ONE_EDGE_OF_SO20)
 @pytest.mark.parametrize(("method", "options"), [("hmc", {}), ("hmc", {"integrator": "exp"}), ("mala", {})])
 def test_one_edge_of_so20(method, options, kappa, exact):
     p = one_edge(20)
