@@ -34,6 +34,7 @@ from fmsync.bench.suites import generator_function
 from fmsync.functional_map import _nearest
 from fmsync.pipeline import SyncedShapes, synchronise
 from fmsync.pipeline.confidence import spread_out
+from fmsync.pipeline.latent import upsample
 from fmsync.pipeline.pairwise import FINE, improve, match, zoomout
 from fmsync.pipeline.samples import farthest_points
 from fmsync.shape import Shape
@@ -56,9 +57,13 @@ class Judge:
 
     def errors(self, i: int, j: int, c_ij: np.ndarray) -> np.ndarray:
         """(P,) distance on shape j from where the map sends the judged vertices of i to where they belong."""
-        at_i = self.shapes[i].basis.eigenfunctions[self.places[i], : len(c_ij)]
-        at_j = self.shapes[j].basis.eigenfunctions[:, : c_ij.shape[1]]
-        return self.distances[j][np.arange(len(at_i)), _nearest(at_i @ c_ij, at_j)]
+        return self.shared(i, j, c_ij.T, np.eye(c_ij.shape[1]))
+
+    def shared(self, i: int, j: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """The same for vertices matched by functions that both share: maps (M, m_i) and (M, m_j) to those."""
+        at_i = self.shapes[i].basis.eigenfunctions[self.places[i], : first.shape[1]] @ first.T
+        at_j = self.shapes[j].basis.eigenfunctions[:, : second.shape[1]] @ second.T
+        return self.distances[j][np.arange(len(at_i)), _nearest(at_i, at_j)]
 
     def mean(self, pairs, maps) -> float:
         """Mean error over pairs of the maps that ``maps(i, j)`` gives."""
@@ -186,18 +191,21 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]
         "robustly synchronised, upsampled": judge.mean(pairs, upsampled(relative(robust))),
         "proposed to the pairs, synchronised": judge.mean(pairs, relative(start)),
     }
+    maps = np.array([x.c_ij[:n, :n] for x in proposed])
     for size in sorted({FINE, min(80, m), m}):
         began = clock()
-        together = synchronise._refine(shapes, edges, start, size, rng)
+        latent = upsample(shapes, edges, maps, synchronise.sizes(n, size))
         seconds[f"upsampled together to {size}"] = clock() - began
-        errors[f"pipeline (upsampled together to {size})"] = judge.mean(pairs, relative(together))
+        errors[f"pipeline (upsampled together to {size})"] = float(
+            np.mean([judge.shared(i, j, latent[i], latent[j]) for i, j in pairs])
+        )
     return errors, seconds, matches
 
 
 def costs(shapes: list[Shape], places: np.ndarray) -> dict:
     """Seconds of a vertex's images over 100 draws, and what computing regions on samples costs in accuracy."""
     synced = fmsync.synchronize_shapes(shapes[:4], rng=0)
-    clock, m = time.process_time, synced.refined.shape[-1]
+    clock = time.process_time
     i, j = 0, 1
     synced.vertex_images(i, j, 0)
     began = clock()
@@ -212,8 +220,7 @@ def costs(shapes: list[Shape], places: np.ndarray) -> dict:
     solver = pp3d.MeshHeatMethodDistanceSolver(second.shape.vertices, second.shape.faces)
     began, exact = clock(), []
     with single_threaded_blas():
-        moved = first.basis.eigenfunctions[places[i], :m] @ synced.functional_map(i, j)
-        image = _nearest(moved, second.basis.eigenfunctions[:, :m])
+        image = _nearest(synced.shared_functions(i, places[i]), synced.shared_functions(j))
         for v, y in zip(places[i], image):
             exact.append(np.quantile(solver.compute_distance(int(y))[synced.vertex_images(i, j, int(v))], 0.9))
     exact = np.array(exact)

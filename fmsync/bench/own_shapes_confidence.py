@@ -59,7 +59,7 @@ def observe(shapes) -> dict:
     judge, pairs = Judge(synced, places), some_pairs(len(shapes), 16)
     at_samples = [synced.confidence(i, j) for i, j in pairs]
     known = [at_vertices(judge, i, k) for (i, _), k in zip(pairs, at_samples)]
-    errors = [judge.errors(i, j, synced.functional_map(i, j)).astype(float) for i, j in pairs]
+    errors = [judge.shared(i, j, synced.refined[i], synced.refined[j]).astype(float) for i, j in pairs]
     raw = [quantiles(synced, i, j, k.image) for (i, j), k in zip(pairs, at_samples)]
     draws = {q: [judge.at(i, r[n]) for (i, _), r in zip(pairs, raw)] for n, q in enumerate(LEVELS)}
     cheap = [alternatives(synced, places, i, j) for i, j in pairs]
@@ -85,11 +85,9 @@ def _covered(o: dict, level: float, recalibration: Recalibration | None = None) 
 
 def alternatives(synced: SyncedShapes, places: np.ndarray, i: int, j: int) -> dict:
     """What is cheaper than a posterior: distance in the embedding, and the error of cycles through the pair."""
-    c = synced.functional_map(i, j)
-    moved = synced.shapes[i].basis.eigenfunctions[places[i]] @ c
-    at_j = synced.shapes[j].basis.eigenfunctions
-    distance = np.linalg.norm(moved - at_j[_nearest(moved, at_j)], axis=1)
-    return {"embedding distance": distance, "cycle error": np.full(len(moved), cycle_errors(synced)[i, j])}
+    at_i, at_j = synced.shared_functions(i, places[i]), synced.shared_functions(j)
+    distance = np.linalg.norm(at_i - at_j[_nearest(at_i, at_j)], axis=1)
+    return {"embedding distance": distance, "cycle error": np.full(len(at_i), cycle_errors(synced)[i, j])}
 
 
 def cycle_errors(synced: SyncedShapes) -> np.ndarray:

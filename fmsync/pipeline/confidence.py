@@ -68,7 +68,8 @@ class Confidence:
 def confidence(
     first: SampledShape,
     second: SampledShape,
-    c_ij: np.ndarray,
+    latent_i: np.ndarray,
+    latent_j: np.ndarray,
     draws: np.ndarray,
     votes: np.ndarray,
     level: float = 0.9,
@@ -79,8 +80,8 @@ def confidence(
     ----------
     first, second
         Shapes i and j.
-    c_ij
-        (m, m) synchronised map.
+    latent_i, latent_j
+        (M, m) maps of both to functions that they share.
     draws
         (T, n, n) posterior draws of C_ij.
     votes
@@ -88,13 +89,13 @@ def confidence(
     level
         Probability that the region holds.
     """
-    n, m = draws.shape[-1], len(c_ij)
+    n, m = draws.shape[-1], latent_i.shape[-1]
     at_i, at_j, g = first.sampled()[:, :m], second.sampled()[:, :m], second.geodesics
     with single_threaded_blas():
         hits = _nearest((at_i[:, :n] @ draws).reshape(-1, n), at_j[:, :n]).reshape(len(draws), -1)  # (T, S_i)
-        moved = at_i @ c_ij
-        image = _nearest(moved, at_j)
-        vertex = _nearest(moved, second.basis.eigenfunctions[:, :m])
+        values = at_i @ latent_i.T  # (S_i, M)
+        image = _nearest(values, at_j @ latent_j.T)
+        vertex = _nearest(values, second.basis.eigenfunctions[:, :m] @ latent_j.T)
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)

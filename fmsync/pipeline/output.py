@@ -15,7 +15,8 @@ from fmsync.pipeline.synchronise import SyncedShapes
 
 _README = """\
 report.html         pictures of every pair and a summary; everything is in the one file
-maps.npz            refined (N, m, m) absolute maps, C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges; names
+maps.npz            refined (N, M, m) to shared functions: C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges;
+                    names of the shapes
 point_maps/*.npy    NAME_to_{reference}.npy: for each vertex of NAME its vertex of {reference}
 point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
 meshes/*.vtp, *.ply every shape with these numbers on its vertices, for ParaView and MeshLab

@@ -108,11 +108,9 @@ def _data(synced, known, radii, edges, top) -> dict:
         )
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
     for (i, j), k in known.items():
-        first, second, (own, _), (there, _) = synced.shapes[i], synced.shapes[j], drawn[i], drawn[j]
-        m = synced.refined.shape[-1]
+        first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]
         with single_threaded_blas():
-            moved = first.basis.eigenfunctions[own, :m] @ synced.functional_map(i, j)
-            image = _nearest(moved, second.basis.eigenfunctions[there, :m])
+            image = _nearest(synced.shared_functions(i, own), synced.shared_functions(j, there))
         at = cKDTree(first.shape.vertices[first.samples]).query(first.shape.vertices[own])[1]
         pairs[f"{i},{j}"] = {
             "image": _packed(image, "<u2"),

@@ -20,6 +20,7 @@ from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate
 from fmsync.functional_map import _nearest
 from fmsync.pipeline.confidence import Confidence, confidence
+from fmsync.pipeline.latent import upsample
 from fmsync.pipeline.pairwise import FINE, PairMatch, improve, match
 from fmsync.pipeline.samples import SampledShape, sample_shape
 from fmsync.pipeline.signs import rotation_signs
@@ -49,7 +50,8 @@ class SyncedShapes:
     problem, estimate, posterior
         The n x n synchronisation problem, its robust answer, and draws (None if none were asked for).
     refined
-        (N, m, m) absolute maps of the refined bases; relative ones are ``refined[i].T @ refined[j]``.
+        (N, M, m) maps with orthonormal rows from the refined bases to M <= m functions that all shapes share; points
+        are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -68,21 +70,21 @@ class SyncedShapes:
         return [s.shape.name for s in self.shapes]
 
     def functional_map(self, i: int, j: int) -> np.ndarray:
-        """Synchronised map C_ij (m, m) in the bases of ``shapes``."""
+        """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
         return self.refined[i].T @ self.refined[j]
+
+    def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
+        return self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]] @ self.refined[i].T
 
     def sample_images(self, i: int, j: int) -> np.ndarray:
         """(S_i,) sample of j for each sample of i."""
-        a, b = self.shapes[i], self.shapes[j]
-        m = self.refined.shape[-1]
-        return _nearest(a.sampled()[:, :m] @ self.functional_map(i, j), b.sampled()[:, :m])
+        return _nearest(*(self.shared_functions(k, self.shapes[k].samples) for k in (i, j)))
 
     def point_map(self, i: int, j: int) -> np.ndarray:
         """(V_i,) vertex of j for each vertex of i."""
-        a, b = self.shapes[i].basis, self.shapes[j].basis
-        m = self.refined.shape[-1]
         with single_threaded_blas():
-            return fmsync.point_map(self.functional_map(i, j), a.truncated(m), b.truncated(m))
+            return _nearest(self.shared_functions(i), self.shared_functions(j))
 
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
@@ -91,7 +93,7 @@ class SyncedShapes:
         if not 0 < level < 1:
             raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
         draws, votes = self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
-        return confidence(self.shapes[i], self.shapes[j], self.functional_map(i, j), draws, votes, level)
+        return confidence(self.shapes[i], self.shapes[j], self.refined[i], self.refined[j], draws, votes, level)
 
     def draws(self, i: int, j: int, count: int) -> np.ndarray:
         """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
@@ -229,8 +231,8 @@ def synchronize_shapes(
     posterior = None
     if n_draws:
         posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress)
-    start = estimate.absolute * turns(signs, n_basis)[:, None]
-    refined = _refine(sampled, edges, start, n_refined, rng, progress)
+    maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
+    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
     return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
 
 
@@ -368,29 +370,10 @@ def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng, progres
         )
 
 
-def _refine(shapes, edges, absolute: np.ndarray, size: int, rng, progress: bool = False) -> np.ndarray:
-    """Absolute maps (N, k, k) upsampled to (N, m, m): every pair by a step of ZoomOut, then all of them together.
-
-    Together they stay consistent, and the errors of a pair do not grow (Huang et al. 2020). O(k) needs no signs.
-    """
-    for larger in tqdm(_sizes(absolute.shape[-1], size), "refinement", disable=not progress):
-        k = absolute.shape[-1]
-        with single_threaded_blas():
-            at = [s.sampled()[:, :larger] for s in shapes]
-            back = [np.linalg.pinv(phi) for phi in at]
-            maps = np.empty((len(edges), larger, larger))
-            for e, (i, j) in enumerate(edges):
-                images = _nearest(at[i][:, :k] @ (absolute[i].T @ absolute[j]), at[j][:, :k])
-                maps[e] = back[i] @ at[j][images]
-            u, _, vt = np.linalg.svd(maps)
-        absolute = fmsync.solve(SyncProblem(len(shapes), edges, u @ vt), "spectral", group="O", rng=rng).absolute
-    return absolute
-
-
-def _sizes(k: int, size: int) -> list[int]:
+def sizes(k: int, size: int) -> list[int]:
     """Sizes of the maps on the way from k to ``size``."""
-    sizes = []
+    steps = []
     while k < size:
         k = min(size, max(k + 4, int(k * _GROWTH)))
-        sizes.append(k)
-    return sizes + [size] * _SETTLE
+        steps.append(k)
+    return steps + [size] * _SETTLE

@@ -33,7 +33,7 @@ def test_everything_is_written(written):
     np.testing.assert_array_equal(rows[:, 3], vtp["region"])
     assert len(read_mesh(out / "meshes" / "cat2.ply").faces) == vtp.n_cells
     with np.load(out / "maps.npz") as maps:
-        assert maps["refined"].shape == (3, 20, 20)
+        assert maps["refined"].shape == (3, 18, 20)
         assert maps["draws"].shape == (40, 3, 10, 10)
     assert not out.with_name("out.partial").exists()
 
