@@ -18,9 +18,9 @@ def rng():
 
 
 def consistent(rng, dim):
-    """Maps C_ij = A_i^T A_j and the A_i (COUNT, dim, SIZE) with orthonormal rows, determinants of either sign."""
+    """Maps C_ij = A_i^T A_j of rank ``dim``, determinants of either sign."""
     frames = np.linalg.qr(rng.standard_normal((COUNT, SIZE, SIZE)))[0][:, :dim]
-    return so.transpose(frames[EDGES[:, 0]]) @ frames[EDGES[:, 1]], frames
+    return so.transpose(frames[EDGES[:, 0]]) @ frames[EDGES[:, 1]]
 
 
 def cost(y, maps, weights):
@@ -31,7 +31,7 @@ def cost(y, maps, weights):
 
 
 def test_consistent_maps_come_back_on_the_directions_they_share(rng):
-    maps, frames = consistent(rng, 9)  # nine of ten directions are shared
+    maps = consistent(rng, 9)  # nine of ten directions are shared
     y = latent.latent_maps(COUNT, EDGES, maps)
     assert y.shape == (COUNT, 9, SIZE)
     np.testing.assert_allclose(so.transpose(y[EDGES[:, 0]]) @ y[EDGES[:, 1]], maps, atol=1e-9)
@@ -39,7 +39,7 @@ def test_consistent_maps_come_back_on_the_directions_they_share(rng):
 
 
 def test_no_other_frame_costs_less(rng):
-    maps = consistent(rng, SIZE)[0] + 0.1 * rng.standard_normal((len(EDGES), SIZE, SIZE))
+    maps = consistent(rng, SIZE) + 0.1 * rng.standard_normal((len(EDGES), SIZE, SIZE))
     weights = 1 / ((so.transpose(maps) @ maps - np.eye(SIZE)) ** 2).sum((1, 2))
     degrees = np.bincount(EDGES.ravel(), np.repeat(weights, 2))
     y = latent.latent_maps(COUNT, EDGES, maps)
@@ -54,7 +54,7 @@ def test_no_other_frame_costs_less(rng):
 
 
 def test_large_collections_have_the_same_answer_without_the_dense_matrix(rng, monkeypatch):
-    maps = consistent(rng, SIZE)[0] + 0.05 * rng.standard_normal((len(EDGES), SIZE, SIZE))
+    maps = consistent(rng, SIZE) + 0.05 * rng.standard_normal((len(EDGES), SIZE, SIZE))
     dense = latent.latent_maps(COUNT, EDGES, maps)
     monkeypatch.setattr(latent, "_DENSE_UP_TO", 0)
     sparse = latent.latent_maps(COUNT, EDGES, maps)
@@ -63,7 +63,6 @@ def test_large_collections_have_the_same_answer_without_the_dense_matrix(rng, mo
 
 
 def test_a_function_that_one_map_garbles_is_left_out(rng):
-    maps, _ = consistent(rng, SIZE)
     base = np.linalg.qr(rng.standard_normal((COUNT, SIZE, SIZE)))[0]
     core = np.tile(np.eye(SIZE), (len(EDGES), 1, 1))
     core[:, -1, -1] = rng.choice([-1.0, 1.0], len(EDGES))  # signs that no choice for the shapes explains
