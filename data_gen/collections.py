@@ -30,12 +30,12 @@ def load_collection(
         variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
         TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
     count, n_vertices, seed, symmetric
-        Of the synthetic cats alone: see ``cats``.
+        Of the synthetic cats alone: how many, vertices of each, seed of the poses, whether left and right are alike.
 
     Raises
     ------
     ValueError
-        There is no such collection, or one of its files is refused: see ``read_shape``.
+        There is no such collection, or one of its files cannot be read as a mesh or point cloud.
 
     Examples
     --------
