@@ -57,12 +57,11 @@ class Confidence:
     distortion: np.ndarray
 
     def evidence(self) -> np.ndarray:
-        """(S,) larger where errors are likely: stretch times the square root of the sum of distortion and spread.
+        """(S,) larger where errors are likely: stretch times the square root of distortion.
 
-        Stretch ranks the vertices of a pair; distortion makes pairs and collections comparable; spread is large where
-        the maps of the collection contradict each other.
+        Stretch ranks the vertices of a pair; distortion makes pairs and collections comparable.
         """
-        return self.stretch * np.sqrt(self.distortion + self.spread)
+        return self.stretch * np.sqrt(self.distortion)
 
 
 def confidence(
