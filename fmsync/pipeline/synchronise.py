@@ -145,7 +145,7 @@ def synchronize_shapes(
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.pipeline.pairwise.match`); signs;
     robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
-    with inferred concentration; synchronisation again at the larger size.
+    with inferred concentration; larger maps through functions that all shapes share.
 
     Parameters
     ----------
