@@ -34,7 +34,7 @@ from fmsync.bench.suites import generator_function
 from fmsync.functional_map import _nearest
 from fmsync.pipeline import SyncedShapes, synchronise
 from fmsync.pipeline.confidence import spread_out
-from fmsync.pipeline.latent import upsample
+from fmsync.pipeline.latent import sizes, upsample
 from fmsync.pipeline.pairwise import FINE, improve, match, zoomout
 from fmsync.pipeline.samples import farthest_points
 from fmsync.shape import Shape
@@ -57,12 +57,16 @@ class Judge:
 
     def errors(self, i: int, j: int, c_ij: np.ndarray) -> np.ndarray:
         """(P,) distance on shape j from where the map sends the judged vertices of i to where they belong."""
-        return self.shared(i, j, c_ij.T, np.eye(c_ij.shape[1]))
+        at_i = self.shapes[i].basis.eigenfunctions[self.places[i], : len(c_ij)]
+        return self._missed(j, at_i @ c_ij, self.shapes[j].basis.eigenfunctions[:, : c_ij.shape[1]])
 
     def shared(self, i: int, j: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The same for vertices matched by functions that both share: maps (M, m_i) and (M, m_j) to those."""
         at_i = self.shapes[i].basis.eigenfunctions[self.places[i], : first.shape[1]] @ first.T
         at_j = self.shapes[j].basis.eigenfunctions[:, : second.shape[1]] @ second.T
+        return self._missed(j, at_i, at_j)
+
+    def _missed(self, j: int, at_i: np.ndarray, at_j: np.ndarray) -> np.ndarray:
         return self.distances[j][np.arange(len(at_i)), _nearest(at_i, at_j)]
 
     def mean(self, pairs, maps) -> float:
@@ -194,7 +198,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]
     maps = np.array([x.c_ij[:n, :n] for x in proposed])
     for size in sorted({FINE, min(80, m), m}):
         began = clock()
-        latent = upsample(shapes, edges, maps, synchronise.sizes(n, size))
+        latent = upsample(shapes, edges, maps, sizes(n, size))
         seconds[f"upsampled together to {size}"] = clock() - began
         errors[f"pipeline (upsampled together to {size})"] = float(
             np.mean([judge.shared(i, j, latent[i], latent[j]) for i, j in pairs])

@@ -67,8 +67,8 @@ class Confidence:
 def confidence(
     first: SampledShape,
     second: SampledShape,
-    latent_i: np.ndarray,
-    latent_j: np.ndarray,
+    image: np.ndarray,
+    vertex: np.ndarray,
     draws: np.ndarray,
     votes: np.ndarray,
     level: float = 0.9,
@@ -79,8 +79,8 @@ def confidence(
     ----------
     first, second
         Shapes i and j.
-    latent_i, latent_j
-        (M, m) maps of both to functions that they share.
+    image, vertex
+        (S_i,) samples of j, and vertices of j, where the synchronised map sends the samples of i.
     draws
         (T, n, n) posterior draws of C_ij.
     votes
@@ -88,13 +88,10 @@ def confidence(
     level
         Probability that the region holds.
     """
-    n, m = draws.shape[-1], latent_i.shape[-1]
-    at_i, at_j, g = first.sampled()[:, :m], second.sampled()[:, :m], second.geodesics
+    n, g = draws.shape[-1], second.geodesics
+    at_i, at_j = first.sampled()[:, :n], second.sampled()[:, :n]
     with single_threaded_blas():
-        hits = _nearest((at_i[:, :n] @ draws).reshape(-1, n), at_j[:, :n]).reshape(len(draws), -1)  # (T, S_i)
-        values = at_i @ latent_i.T  # (S_i, M)
-        image = _nearest(values, at_j @ latent_j.T)
-        vertex = _nearest(values, second.basis.eigenfunctions[:, :m] @ latent_j.T)
+        hits = _nearest((at_i @ draws).reshape(-1, n), at_j).reshape(len(draws), -1)  # (T, S_i)
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)

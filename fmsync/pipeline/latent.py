@@ -14,10 +14,13 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from fmsync._threads import single_threaded_blas
+from fmsync.functional_map import _nearest
 from fmsync.pipeline.samples import SampledShape
+from fmsync.so import transpose
 
 _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
+_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step, and steps at the final size
 
 
 def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
@@ -42,7 +45,7 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
     True
     """
     k = maps.shape[-1]
-    squares = np.swapaxes(maps, 1, 2) @ maps, maps @ np.swapaxes(maps, 1, 2)  # C^T C and C C^T
+    squares = transpose(maps) @ maps, maps @ transpose(maps)  # C^T C and C C^T
     weights = 1 / np.maximum(((squares[0] - np.eye(k)) ** 2).sum((1, 2)), 1e-9)
     degrees = np.bincount(edges.ravel(), np.repeat(weights, 2), minlength=n_shapes)
     first, second = edges.T
@@ -52,7 +55,7 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
     links = -2 * weights[:, None, None] * maps
     rows = np.concatenate([np.arange(n_shapes), first, second])
     columns = np.concatenate([np.arange(n_shapes), second, first])
-    blocks = np.concatenate([diagonal, links, np.swapaxes(links, 1, 2)])
+    blocks = np.concatenate([diagonal, links, transpose(links)])
     blocks /= 2 * np.sqrt(degrees[rows] * degrees[columns])[:, None, None]
     size = n_shapes * k
     shared = max(1, round(_SHARED * k))
@@ -67,7 +70,7 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
         start = np.random.default_rng(0).standard_normal(size)  # the answer does not depend on it
         vectors = eigsh(2 * sp.eye_array(size) - matrix, shared, which="LA", v0=start, tol=1e-4)[1]
     scale = np.sqrt(degrees.mean() * n_shapes / degrees)
-    return np.swapaxes(vectors.reshape(n_shapes, k, shared), 1, 2) * scale[:, None, None]
+    return transpose(vectors.reshape(n_shapes, k, shared)) * scale[:, None, None]
 
 
 def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray, sizes: Iterable[int]) -> np.ndarray:
@@ -86,21 +89,21 @@ def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray
             values = [phi[:, :k] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
             maps = np.empty((len(edges), size, size))
             for e, (i, j) in enumerate(edges):
-                there, again = _nearest_both_ways(values[i], values[j])
+                there, again = _nearest(values[i], values[j]), _nearest(values[j], values[i])
                 maps[e] = _nearer_to_orthogonal(back[i] @ at[j][there], (back[j] @ at[i][again]).T)
             latent = latent_maps(len(shapes), edges, maps)
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
 
 
-def _nearest_both_ways(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row of b nearest to each row of a, and row of a nearest to each row of b, from one table of distances."""
-    table = a @ b.T
-    table *= -2
-    table += (a**2).sum(axis=1)[:, None]
-    table += (b**2).sum(axis=1)
-    return table.argmin(axis=1), table.argmin(axis=0)
-
-
 def _nearer_to_orthogonal(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return min(a, b, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))
+
+
+def sizes(k: int, size: int) -> list[int]:
+    """Sizes of the maps on the way from k to ``size``."""
+    steps = []
+    while k < size:
+        k = min(size, max(k + 4, int(k * _GROWTH)))
+        steps.append(k)
+    return steps + [size] * _SETTLE

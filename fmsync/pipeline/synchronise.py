@@ -20,7 +20,7 @@ from fmsync._threads import single_threaded_blas
 from fmsync.estimators import Estimate
 from fmsync.functional_map import _nearest
 from fmsync.pipeline.confidence import Confidence, confidence
-from fmsync.pipeline.latent import upsample
+from fmsync.pipeline.latent import sizes, upsample
 from fmsync.pipeline.pairwise import FINE, PairMatch, improve, match
 from fmsync.pipeline.samples import SampledShape, sample_shape
 from fmsync.pipeline.signs import rotation_signs
@@ -28,7 +28,6 @@ from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Shape
 
-_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step of the last refinement, and steps at its final size
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _STRANGER = 0.25  # mean change of log eigenvalues from the median shape
@@ -92,8 +91,11 @@ class SyncedShapes:
             raise ValueError("n_draws: confidence needs posterior draws; synchronise with n_draws > 0")
         if not 0 < level < 1:
             raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
-        draws, votes = self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
-        return confidence(self.shapes[i], self.shapes[j], self.refined[i], self.refined[j], draws, votes, level)
+        first, second, draws, votes = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
+        with single_threaded_blas():
+            image = self.sample_images(i, j)
+            vertex = _nearest(self.shared_functions(i, first.samples), self.shared_functions(j))
+        return confidence(first, second, image, vertex, draws, votes, level)
 
     def draws(self, i: int, j: int, count: int) -> np.ndarray:
         """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
@@ -368,12 +370,3 @@ def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng, progres
             callback=lambda *_: bar.update(),
             rng=rng,
         )
-
-
-def sizes(k: int, size: int) -> list[int]:
-    """Sizes of the maps on the way from k to ``size``."""
-    steps = []
-    while k < size:
-        k = min(size, max(k + 4, int(k * _GROWTH)))
-        steps.append(k)
-    return steps + [size] * _SETTLE

@@ -62,7 +62,7 @@ def test_large_collections_have_the_same_answer_without_the_dense_matrix(rng, mo
     np.testing.assert_allclose(*relative, atol=1e-3)
 
 
-def test_a_function_that_one_map_garbles_is_left_out(rng):
+def test_a_function_with_signs_that_no_choice_explains_is_left_out(rng):
     base = np.linalg.qr(rng.standard_normal((COUNT, SIZE, SIZE)))[0]
     core = np.tile(np.eye(SIZE), (len(EDGES), 1, 1))
     core[:, -1, -1] = rng.choice([-1.0, 1.0], len(EDGES))  # signs that no choice for the shapes explains
