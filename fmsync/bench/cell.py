@@ -1,4 +1,4 @@
-"""Run one cell within its limits and say honestly how it went."""
+"""Run a cell, or some as one batch, within its limits and say honestly how it went."""
 
 import contextlib
 import ctypes
@@ -14,7 +14,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -30,6 +30,7 @@ from fmsync.bench.suites import Cell, generator_function
 from fmsync.problem import SyncProblem
 
 CONTENT = ("generator", "problem", "seed", "method", "options", "code", "data")  # what determines a record
+_SPENT = ("seconds", "cpu_seconds", "peak_memory")
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
 _STATUS = Path("/proc/self/status")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
@@ -49,43 +50,68 @@ def run_cell(cell: Cell, commit: str = "unknown") -> dict:
         Plain JSON values: ``status`` "ok", "timeout", "memory" or "error" (with ``traceback``), ``metrics`` as rows
         (name, at, value), seconds, CPU seconds, peak memory in MB above the process's own, machine, versions, commit.
     """
-    record: dict = {
-        **{name: cell.content[name] for name in CONTENT},
-        "label": cell.label,
-        "commit": commit,
-        "machine": machine(),
-        "versions": versions(),
-        "status": "ok",
-        "metrics": [],
-    }
+    return _run((cell,), commit)[0]
+
+
+def run_together(cells: Sequence[Cell], commit: str = "unknown") -> list[dict]:
+    """Records of cells that differ in their seed alone, run as one batch; where that fails, of each run by itself.
+
+    Seconds and memory of a cell are then its share of the batch's, and the metric ``at_once`` says of how many. The
+    batch may take as long as all its cells, and as much memory as one.
+    """
+    records = _run(cells, commit)
+    if len(cells) > 1 and any(record["status"] != "ok" for record in records):
+        return [run_cell(cell, commit) for cell in cells]
+    return records
+
+
+def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
+    first, count = cells[0], len(cells)
+    outcome: dict = {"status": "ok"}
+    answered: list[list] = [[] for _ in cells]
     began = time.perf_counter()
     try:
-        if cell.file is not None:
-            methods.load(cell.file)
+        if first.file is not None:
+            methods.load(first.file)
         else:
-            importlib.import_module(cell.module)
-        method = methods.get(cell.method)
+            importlib.import_module(first.module)
+        method = methods.get(first.method)
         with warnings.catch_warnings(record=True) as caught, _one_thread():
             warnings.simplefilter("always")
-            problem = _problem(cell.generator, _frozen(cell.problem), cell.seed, cell.content["data"])
-            _warm(method, cell.options)
+            problems = [_problem(c.generator, _frozen(c.problem), c.seed, c.content["data"]) for c in cells]
+            rngs = [method_rng(cell.seed) for cell in cells]
+            _warm(method, first.options)
             before = _reset_peak()
             began, cpu = time.perf_counter(), time.process_time()
-            with _limited(cell.seconds, cell.memory):
-                answer = method.run(problem, method_rng(cell.seed), cell.options)
+            with _limited(first.seconds * count, first.memory):
+                if count == 1:
+                    answers = [method.run(problems[0], rngs[0], first.options)]
+                else:
+                    answers = method.run_together(problems, rngs, first.options)
             spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
-            measured = measure(problem, answer)
-        rows = [("seconds", spent[0]), ("cpu_seconds", spent[1]), ("peak_memory", spent[2])]
-        record["metrics"] = [[name, None, float(value)] for name, value in rows] + measured
-        record["warnings"] = sorted({str(warning.message) for warning in caught})
+            rows = [[name, None, value / count] for name, value in zip(_SPENT, spent)]
+            rows += [["at_once", None, float(count)]] if count > 1 else []
+            answered = [rows + measure(problem, answer) for problem, answer in zip(problems, answers)]
+        outcome["warnings"] = sorted({str(warning.message) for warning in caught})
     except CellTimeoutError:
-        record |= {"status": "timeout", "traceback": f"more than {cell.seconds:g} s"}
+        outcome |= {"status": "timeout", "traceback": f"more than {first.seconds:g} s"}
     except MemoryError:
-        record |= {"status": "memory", "traceback": f"more than {cell.memory:g} MB\n{traceback.format_exc()}"}
+        outcome |= {"status": "memory", "traceback": f"more than {first.memory:g} MB\n{traceback.format_exc()}"}
     except Exception:
-        record |= {"status": "error", "traceback": traceback.format_exc()}
-    record["wall"] = time.perf_counter() - began
-    return record
+        outcome |= {"status": "error", "traceback": traceback.format_exc()}
+    return [
+        {
+            **{name: cell.content[name] for name in CONTENT},
+            "label": cell.label,
+            "commit": commit,
+            "machine": machine(),
+            "versions": versions(),
+            **outcome,
+            "metrics": metrics if outcome["status"] == "ok" else [],
+            "wall": (time.perf_counter() - began) / count,
+        }
+        for cell, metrics in zip(cells, answered)
+    ]
 
 
 @lru_cache(maxsize=2)

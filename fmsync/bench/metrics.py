@@ -40,6 +40,7 @@ METRICS = {
         Metric("seconds", "s", "lower"),
         Metric("cpu_seconds", "s", "lower"),
         Metric("peak_memory", "MB", "lower"),
+        Metric("at_once", "cells", "none"),
     )
 }
 

@@ -1,10 +1,11 @@
 """Run the cells of a suite side by side, on this machine or on a Dask cluster, and never twice."""
 
 import contextlib
+import json
 import multiprocessing
 import os
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,13 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.process_executor import BrokenProcessPool as LokyBroken
 
-from fmsync.bench.cell import CONTENT, run_cell
+from fmsync.bench import methods
+from fmsync.bench.cell import CONTENT, run_together
 from fmsync.bench.store import CorruptCellError, Store
 from fmsync.bench.suites import Cell
 
 OnRecord = Callable[[Cell, dict], None]
+Batches = Sequence[tuple[Cell, ...]]
 
 
 class RunError(RuntimeError):
@@ -96,10 +99,11 @@ def run_cells(
         while waiting:
             store.take_started()  # marks of an earlier run
             try:
-                for key, record in pool.run(list(waiting.values()), store.folder, commit):
-                    _keep(store, key, record)
-                    on_record(waiting.pop(key), record)
-                    done[key] = record
+                for finished in pool.run(_batches(waiting.values()), store.folder, commit):
+                    for key, record in finished:
+                        _keep(store, key, record)
+                        on_record(waiting.pop(key), record)
+                        done[key] = record
             except pool.crashes:
                 suspects = [key for key in store.take_started() if key in waiting]
                 for key in list(waiting):  # finished, but the news died with the pool
@@ -115,8 +119,19 @@ def run_cells(
     return Run(tuple({**done[cell.key], "label": cell.label} for cell in cells), n_cached, tuple(corrupt))
 
 
-def work(cell: Cell, folder: Path, commit: str) -> tuple[str, dict]:
-    """What a worker does: run a cell and keep it, where the folder can be seen from here."""
+def _batches(cells: Iterable[Cell]) -> list[tuple[Cell, ...]]:
+    """Cells that may run together, and differ in their seed alone; every other one by itself."""
+    found: dict[str, list[Cell]] = {}
+    for cell in cells:
+        key = cell.key
+        if cell.together and methods.get(cell.method).can_run_together(cell.options):
+            key = json.dumps({**cell.content, "seed": None}, sort_keys=True)
+        found.setdefault(key, []).append(cell)
+    return [tuple(batch) for batch in found.values()]
+
+
+def work(cells: Sequence[Cell], folder: Path, commit: str) -> list[tuple[str, dict]]:
+    """What a worker does: run cells, as one batch if there are several, and keep them where the folder can be seen."""
     parent = multiprocessing.parent_process()
     if parent is not None and parent.pid not in (None, os.getppid()):
         os._exit(1)  # nobody waits for this any more
@@ -124,14 +139,16 @@ def work(cell: Cell, folder: Path, commit: str) -> tuple[str, dict]:
     visible = folder.is_dir()
     if visible:
         with contextlib.suppress(OSError):
-            store.mark_started(cell.key)
-    record = run_cell(cell, commit)
-    if visible:
-        with contextlib.suppress(OSError):  # the runner tries again, and knows whom to tell
-            _write(store, cell.key, record)
-            record["kept"] = True
-            store.unmark(cell.key)
-    return cell.key, record
+            for cell in cells:
+                store.mark_started(cell.key)
+    records = run_together(cells, commit)
+    for cell, record in zip(cells, records):
+        if visible:
+            with contextlib.suppress(OSError):  # the runner tries again, and knows whom to tell
+                _write(store, cell.key, record)
+                record["kept"] = True
+                store.unmark(cell.key)
+    return [(cell.key, record) for cell, record in zip(cells, records)]
 
 
 def current_commit() -> str:
@@ -176,15 +193,15 @@ class _Local:
     def __exit__(self, *error):
         return None
 
-    def run(self, cells: Sequence[Cell], folder: Path, commit: str) -> Iterator[tuple[str, dict]]:
+    def run(self, batches: Batches, folder: Path, commit: str) -> Iterator[list[tuple[str, dict]]]:
         with parallel_config(backend="loky", n_jobs=self._n_jobs, inner_max_num_threads=1):
-            yield from Parallel(return_as="generator_unordered")(delayed(work)(c, folder, commit) for c in cells)
+            yield from Parallel(return_as="generator_unordered")(delayed(work)(b, folder, commit) for b in batches)
 
     def alone(self, cell: Cell, folder: Path, commit: str) -> dict:
         """A cell during which a process died gets one more try in a process of its own."""
         with ProcessPoolExecutor(max_workers=1) as executor:
             try:
-                return executor.submit(work, cell, folder, commit).result()[1]
+                return executor.submit(work, (cell,), folder, commit).result()[0][1]
             except self.crashes as error:
                 return crashed(cell, commit, error)
 
@@ -212,13 +229,13 @@ class _Dask:
     def __exit__(self, *error):
         self._client.close()
 
-    def run(self, cells: Sequence[Cell], folder: Path, commit: str) -> Iterator[tuple[str, dict]]:
+    def run(self, batches: Batches, folder: Path, commit: str) -> Iterator[list[tuple[str, dict]]]:
         with parallel_config(backend="dask"):
-            yield from Parallel(return_as="generator_unordered")(delayed(work)(c, folder, commit) for c in cells)
+            yield from Parallel(return_as="generator_unordered")(delayed(work)(b, folder, commit) for b in batches)
 
     def alone(self, cell: Cell, folder: Path, commit: str) -> dict:
         try:
-            return self._client.submit(work, cell, folder, commit, pure=False).result()[1]
+            return self._client.submit(work, (cell,), folder, commit, pure=False).result()[0][1]
         except self.crashes as error:
             return crashed(cell, commit, error)
 

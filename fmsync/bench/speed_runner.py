@@ -1,8 +1,8 @@
 """What the runner costs beside the methods it runs. Run: ``python -m fmsync.bench.speed_runner``.
 
 Prints CPU milliseconds of a short cell beside its method (problem made, limits set, answer measured, record sent and
-written) as a share of the method's own; and what chains gain that advance as one batch, on which it depends whether
-cells of different seeds should. On a busy machine trust the ratios.
+written) as a share of the method's own; and what the chains of ten seeds gain that advance as one batch. On a busy
+machine trust the ratios.
 """
 
 import os
@@ -19,6 +19,7 @@ from fmsync.bench.runner import run_cells
 from fmsync.bench.speed_samplers import complete_problem
 from fmsync.bench.store import Store
 from fmsync.bench.suites import Cell
+from fmsync.samplers.together import sample_together
 
 _COUNT = 60  # cells of a round ...
 _METHODS = 5  # ... so many for each problem
@@ -34,12 +35,10 @@ def some_work(problem, *, rng, products: int):
         matrix = matrix @ matrix
     return Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
 """
-_SAMPLERS = {
-    "rlfm": ("rlfm", {}),
-    "rlfm, unconstrained": ("rlfm", {"constrained": False}),
-    "rlfm, geodesic energy": ("rlfm", {"energy": "geodesic"}),
-    "heat bath": ("heat-bath", {}),
-    "heat bath, projected": ("heat-bath", {"likelihood": "projected-gaussian"}),
+_CHAINS = {
+    "Euclidean": {},
+    "unconstrained": {"constrained": False},
+    "geodesic": {"energy": "geodesic"},
 }
 
 
@@ -79,18 +78,27 @@ def _cpu_of_all() -> float:
     return spent
 
 
-def batches(n_nodes: int, chains: int = 10, steps: int = 60) -> None:
-    """Print CPU milliseconds of a step of one chain, alone and in a batch of chains of one problem."""
-    problem = complete_problem(n_nodes)
-    print(f"\nN = {n_nodes}: CPU ms of a step of one chain, alone and as one of {chains}")
-    for name, (method, options) in _SAMPLERS.items():
-        fmsync.sample(problem, method, n_chains=1, n_draws=4, warmup=4, **options)
+def batches(n_nodes: int, count: int = 10, rounds: int = 3) -> None:
+    """Print CPU milliseconds of a step of one chain of ``"rlfm"``, alone and in a batch of chains of other problems."""
+    problems = [complete_problem(n_nodes, rng=seed) for seed in range(count)]
+    print(f"\nN = {n_nodes}: CPU ms of a step of one chain, draws kept, alone and as one of {count}")
+    for name, options in _CHAINS.items():
+        run = {"n_draws": 40, "warmup": 20, **options}
+
+        def alone(run=run):
+            for seed, problem in enumerate(problems):
+                fmsync.sample(problem, "rlfm", n_chains=1, rng=seed, **run)
+
+        def together(run=run):
+            sample_together(problems, rngs=range(count), **run)
+
         spent = []
-        for count in (1, chains):
+        for way in [alone, together] * (rounds + 1):
             began = time.process_time()
-            fmsync.sample(problem, method, n_chains=count, n_draws=steps // 3 * 2, warmup=steps // 3, **options)
-            spent.append(1e3 * (time.process_time() - began) / count / steps)
-        print(f"{name:24s} {spent[0]:8.3f} {spent[1]:8.3f}   gain {spent[0] / spent[1]:5.2f}x", flush=True)
+            way()
+            spent.append(1e3 * (time.process_time() - began) / count / 60)
+        each = np.median(np.reshape(spent[2:], (rounds, 2)), axis=0)  # the first round compiles
+        print(f"{name:15s} {each[0]:8.3f} {each[1]:8.3f}   gain {each[0] / each[1]:5.2f}x", flush=True)
 
 
 def main() -> None:

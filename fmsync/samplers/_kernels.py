@@ -125,19 +125,19 @@ def langevin_tangents(c, sums, noise, drift, spread):
     r"""Tangent vectors (B, n, n) :math:`\Omega = 2\,\mathrm{drift}\,\mathrm{skew}(C^\top S) + \mathrm{spread}\,W`.
 
     W is a standard normal skew-symmetric matrix in the Frobenius product: entries above the diagonal are ``noise``
-    (B, n(n-1)/2) divided by √2.
+    (B, n(n-1)/2) divided by √2. ``drift`` and ``spread`` (B,) are one number for every matrix.
     """
     batch, n = c.shape[0], c.shape[-1]
     omega = np.empty((batch, n, n))
-    half = spread / np.sqrt(2.0)
     m = np.empty((n, n))
     for k in range(batch):
         np.dot(c[k].T, sums[k], m)
+        half = spread[k] / np.sqrt(2.0)
         t = 0
         for r in range(n):
             omega[k, r, r] = 0.0
             for s in range(r + 1, n):
-                value = drift * (m[r, s] - m[s, r]) + half * noise[k, t]
+                value = drift[k] * (m[r, s] - m[s, r]) + half * noise[k, t]
                 omega[k, r, s] = value
                 omega[k, s, r] = -value
                 t += 1

@@ -1,5 +1,7 @@
 r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fmsync import problem as energies
@@ -25,7 +27,9 @@ class RLFM:
     Parameters
     ----------
     problem, start, rng, prior
-        As :func:`fmsync.sample` passes them; ``start`` (K, N, n, n).
+        As :func:`fmsync.sample` passes them; ``start`` (K, N, n, n). K problems of one size, each with a generator and
+        without a prior, are met by one chain each (:func:`fmsync.samplers.together.sample_together`): every chain then
+        takes the very steps that it would take alone.
     energy
         ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2` or ``"geodesic"``
         :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
@@ -51,9 +55,9 @@ class RLFM:
 
     def __init__(
         self,
-        problem: SyncProblem,
+        problem: SyncProblem | tuple[SyncProblem, ...],
         start: np.ndarray,
-        rng: np.random.Generator,
+        rng: np.random.Generator | tuple[np.random.Generator, ...],
         prior: LangevinPrior | None = None,
         *,
         energy: str = "euclidean",
@@ -68,36 +72,42 @@ class RLFM:
         _one_of("retraction", retraction, ("exp", "qf"))
         _one_of("drift", drift, ("descent", "printed"))
         concentrated = concentration(kappa, beta)
+        problems = problem if isinstance(problem, tuple) else (problem,)
         if energy == "geodesic":
             if not constrained:
                 raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
-            energies.check_rotations(problem.maps, "maps (node = edge)")
+            for one in problems:
+                energies.check_rotations(one.maps, "maps (node = edge)")
         if step is not None and not (np.isfinite(step) and step > 0):
             raise ValueError(f"step: must be finite and > 0, got {step}; leave it out for the default")
-        self._problem, start = with_anchor(problem, start, prior, concentrated)
-        self._n_kept = problem.n_nodes
-        self._held = problem.n_nodes if prior is not None else None
-        if not constrained and prior is None:
+        self._n_kept, n = problems[0].n_nodes, problems[0].n
+        self._held = None
+        if prior is not None:
+            with_prior, start = with_anchor(problems[0], start, prior, concentrated)
+            problems, self._held = (with_prior,), self._n_kept
+        elif not constrained:
             start, self._held = energies.fix_gauge(start), 0
-            start[:, 0] = np.eye(problem.n)  # without the rounding
+            start[:, 0] = np.eye(n)  # without the rounding
+        self._problems = problems
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
         self._sums = None  # neighbour sums of the present state, if known
-        self._rng, self._age = rng, 0
+        self._rngs, self._age = rng if isinstance(rng, tuple) else (rng,), 0
         self._euclidean, self._exp, self._constrained = energy == "euclidean", retraction == "exp", constrained
         self._sign = 1.0 if drift == "descent" else -1.0
         self._beta = concentrated / 2
-        default = default_step(self._problem, concentrated)
-        self._step = default if step is None else float(step)
+        default = [default_step(one, concentrated) for one in problems]
+        self.steps = np.broadcast_to(np.array(default if step is None else float(step)), len(self._c))  # (K,)
+        self._connections = _connections(problems)
         if not constrained:
-            self._gram = _gram(self._problem)
+            self._gram = np.stack([_gram(one) for one in problems])  # (K or 1, N, n, n)
         self.kappa = np.full(len(self._c), concentrated)
-        self.ceiling = self._ceiling()
-        self.advice = f"the step h = {self._step:.3g} is too long, try step={min(default, self._step / 4):.2g}"
+        self.ceiling = self._ceilings()
+        self.advice = f"the step h = {self.steps.max():.3g} is too long, try step={min(*default, *self.steps / 4):.2g}"
         self.settings = {
             "energy": energy,
             "retraction": retraction,
             "constrained": bool(constrained),
-            "step": self._step,
+            "step": float(self.steps[0]),
             "beta": self._beta,
             "drift": drift,
         }
@@ -114,21 +124,21 @@ class RLFM:
     def energy(self) -> np.ndarray:
         """(K,) potential U of the state, with the prior's part."""
         if not self._constrained:
-            return energies.unconstrained_energy(self._problem, self._c)
+            return self._each(energies.unconstrained_energy)
         if not self._euclidean:
-            return energies.geodesic_energy(self._problem, self._c)
-        return self._problem.constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
+            return self._each(energies.geodesic_energy)
+        constant = np.array([problem.constant for problem in self._problems])
+        return constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
 
     def step(self, warming: bool) -> None:
         """Advance all chains by one step; nothing is adapted."""
-        spread = np.sqrt(2 * self._step / self._beta)
         fixed = None if self._held is None else self._c[:, self._held].copy()
         if self._constrained:
-            self._retract(self._tangents(spread))
+            self._retract(self._tangents())
         else:
             gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
-            noise = self._rng.standard_normal(self._c.shape)
-            self._c = self._c - self._sign * self._step * gradient + spread * noise
+            drift, spread = (x[:, None, None, None] for x in self._drift_and_spread())
+            self._c = self._c - drift * gradient + spread * self._noise(self._c.shape)
         if fixed is not None:
             self._c[:, self._held] = fixed
         self._sums = None
@@ -136,16 +146,27 @@ class RLFM:
         if self._constrained and self._age % _POLISH_EVERY == 0:
             self._c = _kernels.polish(self._c)
 
-    def _tangents(self, spread: float) -> np.ndarray:
+    def _drift_and_spread(self) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) step with the sign of the drift, and standard deviation of what is added to it."""
+        return self._sign * self.steps, np.sqrt(2 * self.steps / self._beta)
+
+    def _noise(self, shape: tuple[int, ...]) -> np.ndarray:
+        """(K, ...) standard normal numbers: all from one generator, or those of a chain from its own."""
+        noise = np.empty(shape)
+        for rng, part in zip(self._rngs, np.split(noise, len(self._rngs))):
+            rng.standard_normal(out=part)
+        return noise
+
+    def _tangents(self) -> np.ndarray:
         """Body-frame Ω (K N, n, n) of V = C Ω."""
-        n = self._problem.n
+        count, n_nodes, n = self._c.shape[:3]
         flat = self._c.reshape(-1, n, n)
-        noise = self._rng.standard_normal((len(flat), self._problem.dim))
+        noise = self._noise((count, n_nodes, n * (n - 1) // 2)).reshape(len(flat), -1)
+        drift, spread = (np.repeat(x, n_nodes) for x in self._drift_and_spread())
         if self._euclidean:
-            sums = self._neighbour_sums().reshape(flat.shape)
-            return _kernels.langevin_tangents(flat, sums, noise, self._sign * self._step, spread)
-        omega = _kernels.langevin_tangents(flat, flat, noise, 0.0, spread)
-        omega -= self._sign * self._step * energies.geodesic_gradient(self._problem, self._c).reshape(flat.shape)
+            return _kernels.langevin_tangents(flat, self._neighbour_sums().reshape(flat.shape), noise, drift, spread)
+        omega = _kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)
+        omega -= drift[:, None, None] * self._each(energies.geodesic_gradient).reshape(flat.shape)
         return omega
 
     def _retract(self, omega: np.ndarray) -> None:
@@ -157,35 +178,60 @@ class RLFM:
 
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:
-            self._sums = neighbour_sums(self._problem, self._c)
+            self._sums = self._each(neighbour_sums) if self._connections is None else self._dense_sums()
         return self._sums
 
-    def _ceiling(self) -> np.ndarray:
-        r"""(K,) energies that no sound chain reaches.
+    def _each(self, function: Callable[[SyncProblem, np.ndarray], np.ndarray]) -> np.ndarray:
+        """(K, ...) function of problem and state: called once where all chains share a problem."""
+        if len(self._problems) == 1:
+            return function(self._problems[0], self._c)
+        return np.stack([function(problem, c) for problem, c in zip(self._problems, self._c)])
+
+    def _dense_sums(self) -> np.ndarray:
+        """:func:`neighbour_sums` of every chain's own problem, as one batch of dense products."""
+        count, n_nodes, n = self._c.shape[:3]
+        stacked = np.ascontiguousarray(self._c.transpose(0, 2, 1, 3)).reshape(count, n, n_nodes * n)
+        sums = (stacked @ self._connections).reshape(count, n, n_nodes, n)
+        return np.ascontiguousarray(sums.transpose(0, 2, 1, 3))
+
+    def _ceilings(self) -> np.ndarray:
+        """(K,) energies that no sound chain reaches."""
+        count = len(self._c)
+        if self._sign < 0:
+            return np.full(count, np.finfo(float).max)  # climbs on purpose
+        each = zip(self._problems, self._rngs, np.split(self.energy(), len(self._problems)))
+        return np.concatenate([self._ceiling(problem, rng, energy) for problem, rng, energy in each])
+
+    def _ceiling(self, problem: SyncProblem, rng: np.random.Generator, energy: np.ndarray) -> np.ndarray:
+        r"""The same of the chains of one problem, which start at ``energy``.
 
         Every posterior lies below the mean m of U under Haar, by β s² to first order with s its standard deviation. A
         chain whose start lay far below must not come back to m; the others must not be ten s above it.
         """
-        weights, maps, n = self._problem.weights, self._problem.maps, self._problem.n
-        count = len(self._c)
-        if self._sign < 0:
-            return np.full(count, np.finfo(float).max)  # climbs on purpose
+        weights, maps, n = problem.weights, problem.maps, problem.n
         if not self._constrained:
             free = self._c[0].size - n * n
-            return np.full(count, 100.0 * (self._problem.constant + free / (2 * self._beta)))
+            return np.full(len(energy), 100.0 * (problem.constant + free / (2 * self._beta)))
         if self._euclidean:  # under Haar E tr(M^T C) = 0 and E tr(M^T C)^2 = ||M||^2 / n
-            mean = self._problem.constant
+            mean = problem.constant
             deviation = 2 * np.sqrt(weights**2 @ (maps**2).sum((1, 2)) / n)
         else:
-            squared = so.dist(np.eye(n), so.random_uniform(n, 200, self._rng.spawn(1)[0])) ** 2
+            squared = so.dist(np.eye(n), so.random_uniform(n, 200, rng.spawn(1)[0])) ** 2
             mean, deviation = squared.mean() * weights.sum(), squared.std() * np.sqrt((weights**2).sum())
-        gap = np.minimum(mean - self.energy(), self._beta * deviation**2)  # where a sound chain stays below the mean
+        gap = np.minimum(mean - energy, self._beta * deviation**2)  # where a sound chain stays below the mean
         return np.where(0.9 * gap > 6 * deviation, mean - 0.1 * gap, mean + 10 * deviation)
 
 
 def default_step(problem: SyncProblem, kappa: float) -> float:
     r"""The default h: :math:`h/\beta = 1/(10\,(\kappa\,\deg_{\max} + n))`, β = κ/2."""
     return 0.05 * kappa / (kappa * problem.degrees.max() + problem.n)
+
+
+def _connections(problems: tuple[SyncProblem, ...]) -> np.ndarray | None:
+    """(K, N n, N n) connection matrices of several problems, or None where one product does not serve them all."""
+    if len(problems) == 1 or not all(problem.is_dense for problem in problems):
+        return None
+    return np.stack([problem.connection for problem in problems])
 
 
 def _gram(problem: SyncProblem) -> np.ndarray:

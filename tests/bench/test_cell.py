@@ -51,6 +51,31 @@ def test_the_same_cell_gives_the_same_numbers():
     assert {"energy_score", "coverage_90", "oracle_accuracy", "calibration_error", "ess_per_second"} <= set(first)
 
 
+def test_cells_of_one_batch_give_the_numbers_of_each_alone():
+    options = {"n_draws": 60, "warmup": 20, "n_chains": 1}
+    batch = [cell("rlfm", options, seed) for seed in range(3)]
+    timing = {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
+    for one, record in zip(batch, cells.run_together(batch, "abc")):
+        together, alone = values(record), values(cells.run_cell(one, "abc"))
+        assert together.pop("at_once") == 3
+        assert {k: v for k, v in together.items() if k not in timing} == {
+            k: v for k, v in alone.items() if k not in timing
+        }
+        assert timing <= set(together)
+        assert record["seed"] == one.seed
+
+
+def test_a_batch_that_fails_is_run_cell_by_cell():
+    options = {"n_draws": 60, "warmup": 100, "n_chains": 1, "constrained": False, "step": 3.0}
+    batch = [cell("rlfm", options, seed) for seed in range(2)]
+    for record in cells.run_together(batch):
+        assert record["status"] == "error"
+        assert "diverged" in record["traceback"]
+        assert record["metrics"] == []
+    quick = [cell("rlfm", {**options, "step": 0.01, "n_draws": 10**6}, seed, seconds=0.2) for seed in range(2)]
+    assert [record["status"] for record in cells.run_together(quick)] == ["timeout"] * 2
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_methods_do_not_draw_the_numbers_of_the_truth(seed):
     """A random answer is as far from the truth as strangers are; from the truth's own stream it would be near."""

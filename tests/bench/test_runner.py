@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,38 @@ def test_jobs_do_not_change_the_numbers(tmp_path):
         for jobs in (1, 2)
     ]
     assert edge[0] == edge[1]
+
+
+def test_chains_of_all_seeds_are_one_batch_where_that_is_allowed(tmp_path):
+    one = {"n_chains": 1, "n_draws": 40, "warmup": 20}
+    chains, several = cells("rlfm", 3, **one), cells("rlfm", 2, **{**one, "n_chains": 2})
+    todo = [replace(c, together=True) for c in [*chains, *several, *cells("mle", 2)]]
+    assert [len(batch) for batch in runner._batches(todo)] == [3, 1, 1, 1, 1]
+    assert [len(batch) for batch in runner._batches(chains)] == [1, 1, 1]
+    together = run_cells(todo, Store(tmp_path / "together"))
+    assert [dict((m, v) for m, _, v in r["metrics"]).get("at_once") for r in together.records] == [3] * 3 + [None] * 4
+    assert run_cells(todo, Store(tmp_path / "together")).n_cached == len(todo)
+    alone = run_cells(chains, Store(tmp_path / "alone"))
+    for a, b in zip(together.records, alone.records):
+        error = [dict((m, v) for m, _, v in record["metrics"])["edge_error"] for record in (a, b)]
+        assert error[0] == error[1]
+
+
+def test_a_batch_whose_process_dies_is_tried_cell_by_cell(tmp_path, monkeypatch):
+    """Marks of all its cells are found, and each gets a process of its own."""
+    store = Store(tmp_path / "store")
+    todo = [replace(c, together=True) for c in cells("rlfm", 2, n_chains=1, n_draws=40, warmup=20)]
+
+    class Dying(runner._Local):
+        def run(self, batches, folder, commit):
+            for cell in batches[0]:
+                store.mark_started(cell.key)
+            raise runner.BrokenProcessPool
+
+    monkeypatch.setattr(runner, "_Local", Dying)
+    run = run_cells(todo, store, n_jobs=1)
+    assert [record["status"] for record in run.records] == ["ok", "ok"]
+    assert all("at_once" not in {name for name, _, _ in record["metrics"]} for record in run.records)
 
 
 def test_a_damaged_cell_is_reported_and_computed_again(tmp_path):
@@ -110,9 +143,9 @@ def test_a_full_disk_stops_clearly_and_loses_nothing(tmp_path, monkeypatch):
         def __exit__(self, *error):
             return None
 
-        def run(self, cells, folder, commit):
-            for cell in cells:
-                yield cell.key, dict(record)
+        def run(self, batches, folder, commit):
+            for (cell,) in batches:
+                yield [(cell.key, dict(record))]
 
     def full(self, key, record):
         if key == todo[3].key:

@@ -22,8 +22,11 @@ def test_langevin_tangents_agree_with_the_formula():
     c, sums, noise = so.random_uniform(5, 7, rng), rng.standard_normal((7, 5, 5)), rng.standard_normal((7, 10))
     w = np.zeros((7, 5, 5))
     w[:, *np.triu_indices(5, 1)] = noise / np.sqrt(2)
-    expected = 2 * 0.3 * so.skew(so.transpose(c) @ sums) + 0.7 * (w - so.transpose(w))
-    np.testing.assert_allclose(_kernels.langevin_tangents(c, sums, noise, 0.3, 0.7), expected, atol=1e-14)
+    drift, spread = rng.random((2, 7))
+    expected = 2 * drift[:, None, None] * so.skew(so.transpose(c) @ sums) + spread[:, None, None] * (
+        w - so.transpose(w)
+    )
+    np.testing.assert_allclose(_kernels.langevin_tangents(c, sums, noise, drift, spread), expected, atol=1e-14)
 
 
 def test_polish_squares_the_distance_from_the_group():

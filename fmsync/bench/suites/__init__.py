@@ -6,6 +6,7 @@
     seeds = 10                      # problems of every kind, the same for every method
     seconds = 60                    # limit of a cell
     memory = 2000                   # limit of a cell, MB above what the process holds before it
+    together = true                 # chains of all seeds as one batch, where a method can; then their times are shares
 
     [method.mc]                     # a name of your own for a method with options; bare names need no table
     use = "rlfm"
@@ -36,7 +37,15 @@ from fmsync.bench.code import fingerprint, method_modules
 from fmsync.bench.store import key_of
 
 _FOLDER = Path(__file__).parent
-_TOP = {"description": str, "seeds": int, "seconds": (int, float), "memory": (int, float), "grid": list, "method": dict}
+_TOP = {
+    "description": str,
+    "seeds": int,
+    "seconds": (int, float),
+    "memory": (int, float),
+    "together": bool,
+    "grid": list,
+    "method": dict,
+}
 _GRID = {"generator": str, "problem": dict, "methods": list, "seeds": int, "seconds": (int, float)}
 
 
@@ -52,6 +61,8 @@ class Cell:
         Limits; not part of what the cell is.
     file
         File that registers the method, when it is not part of the package.
+    together
+        Whether it may run as one batch with cells that differ in their seed alone.
     """
 
     generator: str
@@ -63,6 +74,7 @@ class Cell:
     seconds: float = 60.0
     memory: float = 2000.0
     file: str | None = None
+    together: bool = False
 
     @cached_property
     def content(self) -> dict:
@@ -258,6 +270,7 @@ class _Reader:
                                 float(limit),
                                 float(memory),
                                 self._extra.get(method),
+                                self._file.get("together", False),
                             )
                         )
         return cells
@@ -290,7 +303,7 @@ class _Reader:
         for key, value in table.items():
             if key not in known:
                 raise SuiteError(self._unknown(key, known, name or "suite"))
-            if not isinstance(value, known[key]) or isinstance(value, bool):
+            if not isinstance(value, known[key]) or (isinstance(value, bool) and known[key] is not bool):
                 raise SuiteError(f"{self._where(key)}: {key} = {value!r} has the wrong type")
             if key in ("seeds", "seconds", "memory") and value <= 0:
                 raise SuiteError(f"{self._where(key)}: {key} must be > 0, got {value}")
