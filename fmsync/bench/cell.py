@@ -32,7 +32,7 @@ from fmsync.problem import SyncProblem
 CONTENT = ("generator", "problem", "seed", "method", "options", "code", "data")  # what determines a record
 _SPENT = ("seconds", "cpu_seconds", "peak_memory")
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
-_STATUS = Path("/proc/self/status")
+_STATUS, _SIZES = Path("/proc/self/status"), Path("/proc/self/statm")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
 
@@ -72,7 +72,7 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
     began = time.perf_counter()
     try:
         if first.file is not None:
-            methods.load(first.file)
+            _load(first.file)
         else:
             importlib.import_module(first.module)
         method = methods.get(first.method)
@@ -112,6 +112,11 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
         }
         for cell, metrics in zip(cells, answered)
     ]
+
+
+@cache
+def _load(file: str) -> None:
+    methods.load(file)
 
 
 @lru_cache(maxsize=2)
@@ -201,26 +206,18 @@ def _watcher() -> _Watcher:
 @contextlib.contextmanager
 def _address_space(megabytes: float) -> Iterator[None]:
     """Let the process grow by this much and no more, where the system can say how large it is."""
-    size = _status("VmSize")
-    if size is None:
+    try:
+        size = int(_SIZES.read_text().split()[0]) * resource.getpagesize()
+    except OSError:
         yield
         return
-    wanted = int((size + megabytes) * 2**20)
+    wanted = int(size + megabytes * 2**20)
     soft = min((wanted, _SOFT, _HARD), key=lambda limit: np.inf if limit == resource.RLIM_INFINITY else limit)
     resource.setrlimit(resource.RLIMIT_AS, (soft, _HARD))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (_SOFT, _HARD))
-
-
-def _status(name: str) -> float | None:
-    """A size of this process in MB, or None where the system does not tell."""
-    try:
-        match = re.search(rf"{name}:\s+(\d+) kB", _STATUS.read_text())
-    except OSError:
-        return None
-    return int(match[1]) / 1024 if match else None
 
 
 def _reset_peak() -> float:
@@ -231,9 +228,9 @@ def _reset_peak() -> float:
 
 
 def _peak() -> float:
-    peak = _status("VmHWM")
-    if peak is not None:
-        return peak
+    with contextlib.suppress(OSError):
+        if match := re.search(r"VmHWM:\s+(\d+) kB", _STATUS.read_text()):
+            return int(match[1]) / 1024
     unit = 2**20 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 

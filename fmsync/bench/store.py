@@ -4,8 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,9 +80,7 @@ class Store:
 
     def mark_started(self, key: str) -> None:
         """Say that this process works on a cell, so that it is known what it worked on if it dies."""
-        path = self._mark(key)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+        _in_folder(self._mark(key), Path.touch)
 
     def unmark(self, key: str) -> None:
         """Take the mark of :meth:`mark_started` away."""
@@ -101,16 +98,23 @@ class Store:
 
     def _write(self, path: Path, record: Record) -> None:
         text = _dump({"sha256": hashlib.sha256(_dump(record)).hexdigest(), "record": record})
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+        temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(text)  # not synced: what a power cut leaves of it fails its checksum
+            _in_folder(temporary, lambda part: part.write_bytes(text))  # not synced: a power cut fails the checksum
             os.replace(temporary, path)
         except OSError:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             raise
+
+
+def _in_folder(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file into a folder that is made if it is not there: as a rule it is, and to ask every time is dear."""
+    try:
+        write(path)
+    except FileNotFoundError:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
 
 
 class CorruptCellError(ValueError):
