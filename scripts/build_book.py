@@ -6,6 +6,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
 from multiprocessing import get_context
@@ -63,6 +64,13 @@ def date_of_the_text() -> str | None:
     return told.stdout.strip() if told.returncode == 0 else None
 
 
+def quiet_profile(folder: Path) -> str:
+    """A folder for IPython that is nobody's own: kernels tell of errors there, not of the sockets they talk through."""
+    (folder / "profile_default").mkdir()
+    (folder / "profile_default" / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 40\n")
+    return str(folder)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="chapters executed at the same time")
@@ -75,7 +83,8 @@ def main() -> int:
     folder = cache_folder()
     drop_old_caches(folder)
     get_cache(str(folder)).db  # noqa: B018  creates the database before two processes would
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with tempfile.TemporaryDirectory() as profile, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        os.environ["IPYTHONDIR"] = quiet_profile(Path(profile))
         failures = [f for f in pool.map(execute, pages(), repeat(folder)) if f]
     if failures:
         print(*failures, sep="\n\n")
