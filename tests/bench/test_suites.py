@@ -44,6 +44,21 @@ def test_lists_are_swept_and_seeds_are_paired(suite):
     assert cells[0].seconds == 5.0
 
 
+def test_methods_of_another_suite_and_whether_cells_may_run_together(suite):
+    text = GOOD.replace("seeds = 2", 'seeds = 2\ntogether = true\nmethods_of = "paper"').replace(
+        '"spectral"', '"MC (1)"'
+    )
+    cells = load_suite(suite(text)).cells
+    assert all(cell.together for cell in cells)
+    assert not load_suite(suite(GOOD)).cells[0].together
+    assert cells[0].method == "rlfm"
+    assert cells[0].options["constrained"] is False
+    with pytest.raises(SuiteError, match="did you mean paper"):
+        load_suite(suite(text.replace('methods_of = "paper"', 'methods_of = "papers"')))
+    with pytest.raises(SuiteError, match="together = 1 has the wrong type"):
+        load_suite(suite(text.replace("together = true", "together = 1")))
+
+
 def test_seeds_and_only(suite):
     path = suite(GOOD)
     assert len(load_suite(path, seeds=1).cells) == 12

@@ -7,6 +7,7 @@
     seconds = 60                    # limit of a cell
     memory = 2000                   # limit of a cell, MB above what the process holds before it
     together = true                 # chains of all seeds as one batch, where a method can; then their times are shares
+    methods_of = "paper"            # the names of methods that another suite has made, beside those made here
 
     [method.mc]                     # a name of your own for a method with options; bare names need no table
     use = "rlfm"
@@ -43,6 +44,7 @@ _TOP = {
     "seconds": (int, float),
     "memory": (int, float),
     "together": bool,
+    "methods_of": str,
     "grid": list,
     "method": dict,
 }
@@ -240,7 +242,11 @@ class _Reader:
         for needed in ("description", "seeds", "grid"):
             if needed not in self._file:
                 raise SuiteError(f"{path}: {needed} is missing")
-        self._entries = {label: self._entry(label, table) for label, table in self._file.get("method", {}).items()}
+        tables = self._file.get("method", {})
+        if other := self._file.get("methods_of"):
+            file = suite_file(other)
+            tables = _Reader(file, file.read_text(encoding="utf-8"), {})._file.get("method", {}) | tables
+        self._entries = {label: self._entry(label, table) for label, table in tables.items()}
 
     def cells(self, seeds: int | None) -> list[Cell]:
         cells = []
