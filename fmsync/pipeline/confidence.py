@@ -57,11 +57,11 @@ class Confidence:
     distortion: np.ndarray
 
     def evidence(self) -> np.ndarray:
-        """(S,) larger where errors are likely: stretch times the square root of distortion.
+        """(S,) larger where errors are likely: stretch times the square root of the pair's mean distortion.
 
         Stretch ranks the vertices of a pair; distortion makes pairs and collections comparable.
         """
-        return self.stretch * np.sqrt(self.distortion)
+        return self.stretch * np.sqrt(self.distortion.mean())
 
 
 def confidence(
