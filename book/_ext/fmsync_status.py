@@ -62,7 +62,7 @@ def records() -> dict[Path, dict]:
 
 def status_table(found: dict[Path, dict], links: list[tuple[Path, str]]) -> list[str]:
     """Lines of Markdown from :func:`records` and the document name of every page."""
-    lines = ["| chapter | seconds | of CPU | result |", "| --- | ---: | ---: | --- |"]
+    lines = ["| chapter | seconds | CPU seconds | result |", "| --- | ---: | ---: | --- |"]
     for page, link in links:
         data = found.get(page, {})
         told = [f"{data[key]:.0f}" if key in data else "–" for key in ("execution_seconds", "cpu_seconds")]
