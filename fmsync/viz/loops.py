@@ -56,7 +56,7 @@ class Loop:
                 f'<img class="fm-loop" alt="{html.escape(self.alt)}" width="{self.width}" height="{height}" '
                 f'src="{moving}">{still}'
                 '<button type="button" class="fm-pause" '
-                "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Stop or move</button></figure>"
+                "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Pause or play</button></figure>"
             ),
             "text/plain": repr(self),
         }
