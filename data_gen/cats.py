@@ -60,7 +60,7 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
 
 
 def left_right_flip(n_vertices: int = 5000) -> np.ndarray:
-    """The vertex opposite to each vertex (V,) on the cats of ``cats(n_vertices=...)``.
+    """The vertex opposite to each vertex (V,) on the cats of ``load_collection("cats", n_vertices=...)``.
 
     Examples
     --------

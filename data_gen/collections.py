@@ -29,8 +29,14 @@ def load_collection(
         ``"cats"`` for the synthetic cats; a folder of meshes; the name of a folder inside the one that the environment
         variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
         TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
-    count, n_vertices, seed, symmetric
-        Of the synthetic cats alone: how many, vertices of each, seed of the poses, whether left and right are alike.
+    count
+        How many cats; like what follows, of the synthetic ones alone.
+    n_vertices
+        Vertices of each.
+    seed
+        Of the poses.
+    symmetric
+        Whether left and right are alike.
 
     Raises
     ------

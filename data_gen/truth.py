@@ -93,8 +93,8 @@ def ground_truth(
     n_basis
         Number n of Laplace–Beltrami eigenfunctions.
     tree
-        ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"``: the spanning tree from shape 0
-        along which absolute maps are multiplied; neighbours are visited in the order of their numbers.
+        ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
+        least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the order of their numbers.
     bases
         Bases computed before, at least n_basis functions each, to save time.
     point_maps
@@ -159,7 +159,7 @@ def measure_maps(
 
 
 def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
-    """Flip one eigenfunction on each shape whose map from the first has a negative determinant.
+    """Flip one eigenfunction on each shape whose map to the first has a negative determinant.
 
     Signs of eigenfunctions are arbitrary, so that a third to a half of all raw maps are nearer to a reflection than to
     a rotation. One flip a shape, made before any map is formed, repairs nearly all of them at once and keeps the maps

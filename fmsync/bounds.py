@@ -1,4 +1,4 @@
-r"""Limits that no estimator passes: effective resistance, error floors and the recovery threshold."""
+r"""How good an answer can be: effective resistance, floors for small errors, and a rule of thumb for large ones."""
 
 from functools import cache
 
@@ -16,7 +16,7 @@ _MOMENT_SAMPLES = 4000  # relative standard error of w_F at n = 20: 4e-4
 def effective_resistance(
     n_nodes: int, edges: np.ndarray, pairs: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> np.ndarray:
-    r"""Resistance :math:`R_{ij} = (e_i - e_j)^\top L^+ (e_i - e_j)` between pairs of nodes, each edge a unit conductor.
+    r"""Resistance :math:`R_{ij} = (e_i - e_j)^\top L^+ (e_i - e_j)` between pairs of nodes, edges as conductors.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
 
 
 def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> float:
-    r"""Noise variance σ² beyond which synchronization of a complete graph is expected to recover nothing.
+    r"""Noise variance σ² beyond which synchronization of a complete graph is expected to recover little.
 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{kN + 1}`, k observations per pair: there the
     leading eigenvectors of the connection matrix drown in its bulk (a heuristic from random matrices).

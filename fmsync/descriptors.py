@@ -47,7 +47,7 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     r"""Wave kernel signature :math:`\sum_k w_k(e) \phi_k(x)^2 / \sum_k w_k(e)` (Aubry et al. 2011).
 
     Weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced between
-    :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as in the paper.
+    :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as Aubry et al. do.
 
     Parameters
     ----------

@@ -67,8 +67,8 @@ def functional_map_from_descriptors(
     where the second term is small when C commutes with the Laplacians. Both weights are relative, so scaling all
     descriptors changes nothing; scaling one of them weighs it against the rest.
 
-    Free, the minimum is closed row by row, and directions about which nothing is known are left at zero. On SO(n)
-    it is closed without the second term (orthogonal Procrustes, det +1). With it, the norms ‖CB‖ and ‖C Λ‖ are
+    Free, the minimum has a closed form row by row, and directions about which nothing is known are left at zero. On
+    SO(n) it has one without the second term (orthogonal Procrustes, det +1). With it, the norms ‖CB‖ and ‖C Λ‖ are
     constant, so it is the maximum of a convex function, reached by projecting its gradient again and again
     (:math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)` with :math:`w' = w \lVert B \rVert_F^2 /
     \lambda_{\max}^2`), which never descends and ends in a local maximum.

@@ -33,7 +33,7 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
     Parameters
     ----------
     n_shapes
-        N.
+        Number of shapes N.
     edges, maps
         (E, 2) pairs of a connected graph and (E, k, k) maps from j to i.
 

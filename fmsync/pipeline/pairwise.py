@@ -50,7 +50,7 @@ class PairMatch:
 
 
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
-    """Best map C_ij from shape j = ``second`` to shape i = ``first`` among all candidates."""
+    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``, judged."""
     with single_threaded_blas():
         top = min(FINE, first.basis.n, second.basis.n)
         rough = min(_ROUGH, top)

@@ -15,7 +15,7 @@ SHIPPED = Path(__file__).with_name("recalibration.json")
 
 @dataclass(frozen=True)
 class Recalibration:
-    """What an error is expected to be given the signs of it, and by how much it is exceeded how often.
+    """The error to expect given its signs, and how often which multiple of it is exceeded.
 
     Attributes
     ----------

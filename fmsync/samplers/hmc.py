@@ -31,7 +31,8 @@ class HMC:
         ``"euclidean"`` or ``"geodesic"``, as for ``"rlfm"``. The geodesic gradient jumps on the cut locus: the draws stay
         exact, fewer are accepted.
     kappa, beta
-        Concentration of the observations, κ = 2β. ``kappa="auto"``, the default with the Euclidean energy, infers it.
+        Concentration of the observations, κ = 2β. ``kappa="auto"``, the default with the Euclidean energy, infers it;
+        the geodesic energy needs one of the two.
     integrator
         ``"cayley"`` or ``"exp"``.
     step

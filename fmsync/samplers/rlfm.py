@@ -26,10 +26,15 @@ class RLFM:
 
     Parameters
     ----------
-    problem, start, rng, prior
-        As :func:`fmsync.sample` passes them; ``start`` (K, N, n, n). K problems of one size, each with a generator and
-        without a prior, are met by one chain each (:func:`fmsync.samplers.together.sample_together`): every chain then
-        takes the very steps that it would take alone.
+    problem
+        What was observed. A tuple of K problems of one size, without a prior, is met by one chain each
+        (:func:`fmsync.samplers.together.sample_together`): every chain takes the very steps that it would take alone.
+    start
+        (K, N, n, n) rotations.
+    rng
+        Generator, or one for each of several problems.
+    prior
+        As for :func:`fmsync.sample`.
     energy
         ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2` or ``"geodesic"``
         :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
@@ -39,8 +44,8 @@ class RLFM:
         False: arbitrary matrices with the energy :math:`\sum w\lVert C_i C_{ij}-C_j\rVert_F^2`, MC (1) of the paper, in
         the gauge C_1 = I (or that of the prior); without a gauge its mean is 0. Draws are projected one by one.
     step
-        h > 0. By default ``default_step``, a small part of the time in which the stiffest direction relaxes; the
-        noise then turns no plane by more than about half a radian.
+        h > 0. By default :math:`h/\beta = 1/(10\,(\kappa\deg_{\max} + n))`, a small part of the time in which the
+        stiffest direction relaxes; the noise then turns no plane by more than about half a radian.
     kappa, beta
         Temperature, one of the two: κ = 2β for either energy. β = 1 by default, as in the paper, whatever the noise.
     drift
