@@ -94,7 +94,8 @@ def ground_truth(
         Number n of Laplace–Beltrami eigenfunctions.
     tree
         ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
-        least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the order of their numbers.
+        least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the
+        order of their numbers.
     bases
         Bases computed before, at least n_basis functions each, to save time.
     point_maps
