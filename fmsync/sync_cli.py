@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
     recalibration.scale(options.level)
     shapes = [read_mesh(file) for file in mesh_files(options.meshes)]
     landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+    progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     # Everything is written beside the folder and moved there when complete; finished pairs outlive an interruption.
     partial = output.with_name(output.name + ".partial")
     with warnings.catch_warnings(record=True) as caught:
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
                 landmarks=landmarks,
                 jobs=options.jobs,
                 checkpoint=partial / "pairs",
-                progress=True,
+                progress=progress,
                 rng=options.seed,
             )
         except ValueError:  # the input is refused: nothing of it is worth keeping
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     folder = partial / "output"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    write_all(synced, folder, options.level, recalibration, progress=True)
+    write_all(synced, folder, options.level, recalibration, progress=progress)
     if output.is_dir():
         output.rmdir()
     os.replace(folder, output)

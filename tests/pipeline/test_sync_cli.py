@@ -43,6 +43,7 @@ def test_thin_draws_are_said_in_plain_words_everywhere(written):
     for said in (written.said, page, words):
         assert "the regions are rough; ask for more draws" in said
     assert "warnings.warn" not in written.said
+    assert "%|" not in written.said  # bars are for terminals
     assert "synthetic cats" in page  # what the regions were learnt from
 
 
