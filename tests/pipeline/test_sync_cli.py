@@ -109,12 +109,13 @@ def test_killed_and_restarted_finished_pairs_are_not_redone(folder, tmp_path):
     command = [sys.executable, "-m", "fmsync.cli", "sync", str(folder), "-o", str(out), *QUICK]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     pairs = tmp_path / "out.partial" / "pairs"
-    while process.poll() is None and not list(pairs.glob("*.npz")):
+    finished = "?" * 24 + ".npz"  # and not what is being written
+    while process.poll() is None and not list(pairs.glob(finished)):
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert process.returncode == -signal.SIGKILL
-    kept = {f: os.stat(f).st_mtime_ns for f in pairs.glob("????????????????????????.npz")}
+    kept = {f: os.stat(f).st_mtime_ns for f in pairs.glob(finished)}
     assert kept
     assert not out.exists()
     seen = {}
