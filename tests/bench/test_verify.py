@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from fmsync.bench import results
-from fmsync.bench.cell import run_cell
+from fmsync.bench.cell import run_cell, run_together
 from fmsync.bench.suites import Cell
 from fmsync.bench.verify import agrees, verify
 from fmsync.cli import main
@@ -41,6 +41,12 @@ def test_the_same_machine_gives_the_same_numbers(frame):
     compared = {one.metric for one in found}
     assert {"edge_error", "cycle_error", "energy_score", "coverage_90", "accuracy_at_draws"} <= compared
     assert not compared & {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
+
+
+def test_cells_of_a_batch_are_run_again_alone():
+    batch = [cell("rlfm", seed, n_chains=1, n_draws=60, warmup=20) for seed in range(3)]
+    found = list(verify(results.to_frame("s", run_together(batch)), 3, rng=0))
+    assert {one.verdict for one in found} == {"equal"}
 
 
 def test_draws_may_differ_more_than_estimates(frame):
