@@ -107,7 +107,7 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
             "machine": machine(),
             "versions": versions(),
             **outcome,
-            "metrics": metrics if outcome["status"] == "ok" else [],
+            "metrics": metrics,
             "wall": (time.perf_counter() - began) / count,
         }
         for cell, metrics in zip(cells, answered)

@@ -83,7 +83,8 @@ def batches(n_nodes: int, count: int = 10, rounds: int = 3) -> None:
     problems = [complete_problem(n_nodes, rng=seed) for seed in range(count)]
     print(f"\nN = {n_nodes}: CPU ms of a step of one chain, draws kept, alone and as one of {count}")
     for name, options in _CHAINS.items():
-        run = {"n_draws": 40, "warmup": 20, **options}
+        n_draws, warmup = 40, 20
+        run = {"n_draws": n_draws, "warmup": warmup, **options}
 
         def alone(run=run):
             for seed, problem in enumerate(problems):
@@ -96,7 +97,7 @@ def batches(n_nodes: int, count: int = 10, rounds: int = 3) -> None:
         for way in [alone, together] * (rounds + 1):
             began = time.process_time()
             way()
-            spent.append(1e3 * (time.process_time() - began) / count / 60)
+            spent.append(1e3 * (time.process_time() - began) / count / (n_draws + warmup))
         each = np.median(np.reshape(spent[2:], (rounds, 2)), axis=0)  # the first round compiles
         print(f"{name:15s} {each[0]:8.3f} {each[1]:8.3f}   gain {each[0] / each[1]:5.2f}x", flush=True)
 

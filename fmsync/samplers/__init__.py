@@ -125,14 +125,7 @@ def sample(
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
     kind, _ = _REGISTRY.find(method, options)
-    for name, count, least in (
-        ("n_chains", n_chains, 1),
-        ("n_draws", n_draws, 1),
-        ("warmup", warmup, 0),
-        ("thin", thin, 1),
-    ):
-        if isinstance(count, bool) or int(count) != count or count < least:
-            raise ValueError(f"{name}: an integer >= {least}, got {count}")
+    _check_counts(n_chains=n_chains, n_draws=n_draws, warmup=warmup, thin=thin)
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         start = _starts(problem, init, n_chains, rng)
@@ -147,6 +140,14 @@ def sample(
 
     warn_unless_converged(post)
     return post
+
+
+def _check_counts(**counts: int) -> None:
+    """Refuse what is no integer, or too small: a warm-up may be left out, nothing else."""
+    for name, count in counts.items():
+        least = 0 if name == "warmup" else 1
+        if isinstance(count, bool) or int(count) != count or count < least:
+            raise ValueError(f"{name}: an integer >= {least}, got {count}")
 
 
 def _run(engine, n_draws: int, warmup: int, thin: int, callback: Callback, draws: DrawStore) -> tuple[np.ndarray, ...]:

@@ -102,6 +102,7 @@ class RLFM:
         self._beta = concentrated / 2
         default = [default_step(one, concentrated) for one in problems]
         self.steps = np.broadcast_to(np.array(default if step is None else float(step)), len(self._c))  # (K,)
+        self._drift, self._spread = self._sign * self.steps, np.sqrt(2 * self.steps / self._beta)  # (K,)
         self._connections = _connections(problems)
         if not constrained:
             self._gram = np.stack([_gram(one) for one in problems])  # (K or 1, N, n, n)
@@ -142,7 +143,7 @@ class RLFM:
             self._retract(self._tangents())
         else:
             gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
-            drift, spread = (x[:, None, None, None] for x in self._drift_and_spread())
+            drift, spread = self._drift[:, None, None, None], self._spread[:, None, None, None]
             self._c = self._c - drift * gradient + spread * self._noise(self._c.shape)
         if fixed is not None:
             self._c[:, self._held] = fixed
@@ -150,10 +151,6 @@ class RLFM:
         self._age += 1
         if self._constrained and self._age % _POLISH_EVERY == 0:
             self._c = _kernels.polish(self._c)
-
-    def _drift_and_spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """(K,) step with the sign of the drift, and standard deviation of what is added to it."""
-        return self._sign * self.steps, np.sqrt(2 * self.steps / self._beta)
 
     def _noise(self, shape: tuple[int, ...]) -> np.ndarray:
         """(K, ...) standard normal numbers: all from one generator, or those of a chain from its own."""
@@ -167,7 +164,7 @@ class RLFM:
         count, n_nodes, n = self._c.shape[:3]
         flat = self._c.reshape(-1, n, n)
         noise = self._noise((count, n_nodes, n * (n - 1) // 2)).reshape(len(flat), -1)
-        drift, spread = (np.repeat(x, n_nodes) for x in self._drift_and_spread())
+        drift, spread = np.repeat(self._drift, n_nodes), np.repeat(self._spread, n_nodes)
         if self._euclidean:
             return _kernels.langevin_tangents(flat, self._neighbour_sums().reshape(flat.shape), noise, drift, spread)
         omega = _kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fmsync._threads import single_threaded_blas
 from fmsync.problem import SyncProblem
-from fmsync.samplers import _REGISTRY, Posterior, _nothing, _run, _starts
+from fmsync.samplers import _REGISTRY, Posterior, _check_counts, _nothing, _run, _starts
 from fmsync.samplers._store import DrawStore
 from fmsync.samplers.rlfm import RLFM
 
@@ -24,8 +24,8 @@ def sample_together(
     """One chain of ``"rlfm"`` for each of several problems of one size, all advanced as one batch.
 
     Draw by draw the same as ``fmsync.sample(problem, "rlfm", n_chains=1, rng=rng, ...)`` for every problem and its
-    generator, in less time: half at four shapes. Convergence is not judged: see
-    :func:`fmsync.diagnostics.warn_unless_converged`.
+    generator, in less time where problems are small (``python -m fmsync.bench.speed_runner`` measures it).
+    Convergence is not judged: see :func:`fmsync.diagnostics.warn_unless_converged`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def sample_together(
     Raises
     ------
     ValueError
-        Problems of different sizes, another number of generators, an unknown option.
+        Problems of different sizes, another number of generators, an unknown option, counts below one.
     RuntimeError
         A chain diverged; the message gives its number, which is that of its problem.
 
@@ -52,6 +52,7 @@ def sample_together(
     [(1, 50, 3, 4, 4), (1, 50, 3, 4, 4)]
     """
     _REGISTRY.find("rlfm", options)
+    _check_counts(n_draws=n_draws, warmup=warmup, thin=thin)
     sizes = {(problem.n_nodes, problem.n) for problem in problems}
     if len(sizes) != 1 or len(rngs) != len(problems):
         raise ValueError(

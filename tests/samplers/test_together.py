@@ -45,6 +45,8 @@ def test_what_cannot_be_one_batch_is_refused():
         sample_together([few[0], more[0]], rngs=[0, 1])
     with pytest.raises(ValueError, match="2 problems .* and 1 generators"):
         sample_together(few[:2], rngs=[0])
+    with pytest.raises(ValueError, match="n_draws: an integer >= 1, got 0"):
+        sample_together(few, rngs=[0, 1, 2], n_draws=0)
     with pytest.raises(ValueError, match="n_chains: 'rlfm' has no such option"):
         sample_together(few, rngs=[0, 1, 2], n_chains=2)
 

@@ -99,7 +99,7 @@ class Method:
 
     def can_run_together(self, options: Mapping[str, object]) -> bool:
         """Whether problems of one size can be answered as one batch: one chain of ``"rlfm"`` for each."""
-        return self.name == "rlfm" and options.get("n_chains") == 1 and not {"prior", "store"} & set(options)
+        return self.name == "rlfm" and options.get("n_chains") == 1
 
     def run_together(
         self, planted: Sequence, rngs: Sequence[np.random.Generator], options: Mapping[str, object]
