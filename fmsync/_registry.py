@@ -1,4 +1,4 @@
-"""Methods found by name: one file each in a package, or among the peers of the benchmark."""
+"""Methods found by name: one file each in a package; others may register theirs."""
 
 import difflib
 import importlib
@@ -12,7 +12,7 @@ class Registry(dict):
 
     def __init__(self, kind: str, package: str, given: tuple[str, ...]):
         super().__init__()
-        self._kind, self._packages, self._given = kind, (package, "fmsync.bench.peers"), given
+        self._kind, self._package, self._given = kind, package, given
 
     def register(self, name: str) -> Callable:
         """Decorator that keeps what it decorates under a name."""
@@ -24,15 +24,14 @@ class Registry(dict):
         return keep
 
     def names(self) -> list[str]:
-        """All names, after a look through the folders."""
-        for package in self._packages:
-            for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-                importlib.import_module(f"{package}.{module.name}")
+        """All names, after a look through the folder."""
+        for module in pkgutil.iter_modules(importlib.import_module(self._package).__path__):
+            importlib.import_module(f"{self._package}.{module.name}")
         return sorted(self)
 
     def find(self, method: str, options: Mapping[str, object]) -> tuple[Callable, list[str]]:
         """The entry and the options it knows; a ValueError with the nearest names, or with the options it does know."""
-        if method not in self and method not in (names := self.names()):  # looks through folders only when it must
+        if method not in self and method not in (names := self.names()):  # looks through the folder only when it must
             close = difflib.get_close_matches(method, names)
             hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(names)}"
             raise ValueError(f"method: no {self._kind} is called {method!r}; {hint}")

@@ -1,17 +1,10 @@
-"""The command line: ``fmsync bench run SUITE``, ``fmsync bench report``, ``fmsync bench compare A B``.
-
-A room brings its commands in a module with ``add_parser(commands)``, which ends in ``set_defaults(run=function)``; the
-function takes the parsed arguments and gives an exit status.
-"""
+"""The command line: ``fmsync sync MESH_OR_FOLDER... -o OUT``."""
 
 import argparse
-import importlib
-import importlib.util
 import sys
 
 import fmsync
-
-_ROOMS = ("fmsync.sync_cli", "fmsync.bench.commands")
+from fmsync import sync_cli
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,15 +13,13 @@ def main(arguments: list[str] | None = None) -> int:
     Examples
     --------
     >>> from fmsync.cli import main
-    >>> main(["bench", "compare", "missing.parquet", "missing.parquet"])
+    >>> main(["sync", "no_such_folder", "-o", "matched"])
     2
     """
     parser = argparse.ArgumentParser(prog="fmsync", description=fmsync.__doc__.partition("\n")[0])
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for room in _ROOMS:
-        if importlib.util.find_spec(room) is not None:
-            importlib.import_module(room).add_parser(commands)
+    sync_cli.add_parser(commands)
     parsed = parser.parse_args(arguments)
     try:
         return parsed.run(parsed)

@@ -24,7 +24,7 @@ def sample_together(
     """One chain of ``"rlfm"`` for each of several problems of one size, all advanced as one batch.
 
     Draw by draw the same as ``fmsync.sample(problem, "rlfm", n_chains=1, rng=rng, ...)`` for every problem and its
-    generator, in less time where problems are small (``python -m fmsync.bench.speed_runner`` measures it).
+    generator, in less time where problems are small (``python -m bench.speed_runner`` measures it).
     Convergence is not judged: see :func:`fmsync.diagnostics.warn_unless_converged`.
 
     Parameters

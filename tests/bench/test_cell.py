@@ -9,13 +9,13 @@ import pytest
 import threadpoolctl
 
 import data_gen
+from bench import cell as cells
+from bench import methods
+from bench.measure import measure
+from bench.metrics import frobenius_errors
+from bench.planted import Planted
+from bench.suites import Cell
 from fmsync import diagnostics
-from fmsync.bench import cell as cells
-from fmsync.bench import methods
-from fmsync.bench.measure import measure
-from fmsync.bench.metrics import frobenius_errors
-from fmsync.bench.planted import Planted
-from fmsync.bench.suites import Cell
 
 TRICKS = str(Path(__file__).with_name("tricks.py"))
 methods.load(TRICKS)
@@ -23,7 +23,7 @@ SMALL = {"n_nodes": 5, "n": 4, "sigma2": 0.05}
 
 
 def cell(method, options=None, seed=0, problem=SMALL, **limits):
-    generator = "data_gen.bench_problems:rotations"
+    generator = "bench.problems:rotations"
     return Cell(generator, problem, seed, method, method, options or {}, file=TRICKS, **limits)
 
 

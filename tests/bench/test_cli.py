@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fmsync.bench import results
-from fmsync.cli import main
+from bench import results
+from bench.__main__ import main
 
 TRICKS = str(Path(__file__).with_name("tricks.py"))
 
@@ -17,7 +17,7 @@ TRICKS = str(Path(__file__).with_name("tricks.py"))
 def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     """The benchmark works on this machine; within a minute when nobody else wants it."""
     places = ["--store", str(tmp_path / "cells"), "--results", str(tmp_path)]
-    assert main(["bench", "run", "smoke", "--jobs", "2", *places]) == 0
+    assert main(["run", "smoke", "--jobs", "2", *places]) == 0
     first = capsys.readouterr().out
     assert " 0 failed" in first
     frame = results.read(tmp_path / "smoke.parquet")
@@ -32,16 +32,14 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     assert point["oracle"] < point["mle"] < point["identity"]
 
     began = time.perf_counter()
-    assert main(["bench", "run", "smoke", "--jobs", "2", *places]) == 0
+    assert main(["run", "smoke", "--jobs", "2", *places]) == 0
     assert time.perf_counter() - began < 10
     assert "finished already, 0 are left" in capsys.readouterr().out
-    assert main(["bench", "report", "smoke", "--results", str(tmp_path), "--figures", str(tmp_path)]) == 0
+    assert main(["report", "smoke", "--results", str(tmp_path), "--figures", str(tmp_path)]) == 0
     assert "oracle" in capsys.readouterr().out
-    assert main(["bench", "compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
+    assert main(["compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
     assert "no difference" in capsys.readouterr().out
-    assert (
-        main(["bench", "collect", "smoke", "--store", str(tmp_path / "cells"), "--results", str(tmp_path / "c")]) == 0
-    )
+    assert main(["collect", "smoke", "--store", str(tmp_path / "cells"), "--results", str(tmp_path / "c")]) == 0
     assert len(results.read(tmp_path / "c" / "smoke.parquet")) == len(frame)
 
 
@@ -51,7 +49,7 @@ def test_a_bar_with_the_time_left_on_a_terminal_and_lines_elsewhere(tmp_path, mo
     screen.isatty = lambda: terminal
     monkeypatch.setattr(sys, "stderr", screen)
     chosen = ["--only", "^(spectral|trick-raise) .*n_nodes=6 .*", "--seeds", "1", "--with", TRICKS]
-    main(["bench", "run", "smoke", *chosen, "--jobs", "1", "--store", str(tmp_path)])
+    main(["run", "smoke", *chosen, "--jobs", "1", "--store", str(tmp_path)])
     out = capsys.readouterr().out
     lines = [line for line in out.splitlines() if re.match(r"\d+/\d+ ", line)]
     if terminal:
@@ -65,7 +63,7 @@ def test_a_bar_with_the_time_left_on_a_terminal_and_lines_elsewhere(tmp_path, mo
 
 
 def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
-    arguments = ["bench", "run", "smoke", "--with", TRICKS, "--only", "^trick-raise .*seed=0", "--seeds", "1"]
+    arguments = ["run", "smoke", "--with", TRICKS, "--only", "^trick-raise .*seed=0", "--seeds", "1"]
     assert main([*arguments, "--store", str(tmp_path), "--jobs", "1"]) == 1
     assert "RuntimeError: the trick failed" in capsys.readouterr().out
 
@@ -76,25 +74,25 @@ def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
         (["run", "smok"], "did you mean smoke"),
         (["run", "smoke", "--with", "missing.py"], "no such file"),
         (["run", "smoke", "--backend", "dask"], "--scheduler"),
-        (["report", "nothing"], "fmsync bench run nothing"),
+        (["report", "nothing"], "python -m bench run nothing"),
         (["collect", "smoke", "--store", "no-such-folder"], "no cell of smoke"),
     ],
 )
 def test_bad_input_ends_with_one_line(arguments, message, capsys):
-    assert main(["bench", *arguments]) == 2
+    assert main([*arguments]) == 2
     assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "collect", "report", "compare", "verify", "list"])
 def test_help_shows_an_example(command, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["bench", command, "--help"])
+        main([command, "--help"])
     assert ended.value.code == 0
-    assert f"fmsync bench {command}" in capsys.readouterr().out.partition("example:")[2]
+    assert f"python -m bench {command}" in capsys.readouterr().out.partition("example:")[2]
 
 
 def test_list_names_suites_and_methods(capsys):
-    assert main(["bench", "list"]) == 0
+    assert main(["list"]) == 0
     out = capsys.readouterr().out
     assert "smoke" in out
     assert "spectral" in out

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from fmsync.bench import code
+from bench import code
 
 
 @pytest.fixture
@@ -55,4 +55,4 @@ def test_methods_do_not_depend_on_their_rivals():
     assert "fmsync.estimators.robust" not in code.used_modules(code.method_modules("spectral"))
     assert "fmsync.estimators.mle" in code.used_modules(code.method_modules("mean-of-starts"))
     assert "fmsync.samplers.rlfm" in code.used_modules(code.method_modules("rlfm"))
-    assert "fmsync.bounds" in code.used_modules(["data_gen.bench_problems"])
+    assert "fmsync.bounds" in code.used_modules(["bench.problems"])

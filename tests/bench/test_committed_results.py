@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from fmsync.bench import results
-from fmsync.bench.suites import load_suite, suite_names
-from fmsync.bench.verify import agrees, verify
+from bench import results
+from bench.suites import load_suite, suite_names
+from bench.verify import agrees, verify
 
 FOLDER = Path(__file__).parents[2] / "results"
 TABLES = sorted(path.stem for path in FOLDER.glob("*.parquet"))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from fmsync.bench import methods
-from fmsync.bench.runner import RunError, run_cells
-from fmsync.bench.store import Store
-from fmsync.bench.suites import Cell
+from bench import methods
+from bench.runner import RunError, run_cells
+from bench.store import Store
+from bench.suites import Cell
 
 distributed = pytest.importorskip("distributed")
 TRICKS = str(Path(__file__).with_name("tricks.py"))
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # of a library that is told o
 
 def cells(count, log, seconds):
     problem, options = {"n_nodes": 4, "n": 3, "sigma2": 0.1}, {"log": str(log), "seconds": seconds}
-    generator = "data_gen.bench_problems:rotations"
+    generator = "bench.problems:rotations"
     return [Cell(generator, problem, k, "c", "trick-count", options, file=TRICKS) for k in range(count)]
 
 

@@ -5,10 +5,10 @@ import warnings
 import numpy as np
 import pytest
 
+from bench import methods
+from bench.metrics import frobenius_errors
+from bench.planted import Planted
 from fmsync import so
-from fmsync.bench import methods
-from fmsync.bench.metrics import frobenius_errors
-from fmsync.bench.planted import Planted
 from fmsync.problem import SyncProblem, relative_maps
 
 QUICK = {"sampler": {"n_chains": 2, "n_draws": 40, "warmup": 20}}  # a contract, not a contest
@@ -106,7 +106,7 @@ def test_convergence_ends_at_the_answer(planted):
 
 def test_pyfm_cycles_vanish_only_in_the_right_order(planted):
     pytest.importorskip("pyFM")
-    from fmsync.bench.methods.pyfm_network import cycle_error_of
+    from bench.methods.pyfm_network import cycle_error_of
 
     consistent = planted(n_nodes=5, n=4, sigma2=0.0).problem
     assert cycle_error_of(consistent, fixed=True) < 1e-12
@@ -143,7 +143,7 @@ def test_options_of_each_kind():
 def test_a_file_adds_a_method(tmp_path, planted):
     file = tmp_path / "average.py"
     file.write_text(
-        "from fmsync import so\nfrom fmsync.bench.methods import Answer, method\n\n"
+        "from fmsync import so\nfrom bench.methods import Answer, method\n\n"
         '@method("first-edge-only-for-a-test")\n'
         "def f(problem, *, rng):\n    return Answer.from_absolute(so.random_uniform(problem.n, problem.n_nodes, rng))\n"
     )
@@ -162,11 +162,11 @@ def test_files_that_add_nothing_or_take_a_name(tmp_path):
     with pytest.raises(ValueError, match="registers no method"):
         methods.load(tmp_path / "empty_for_a_test.py")
     (tmp_path / "thief_for_a_test.py").write_text(
-        'from fmsync.bench.methods import method\n@method("oracle")\ndef f(problem, *, rng): ...\n'
+        'from bench.methods import method\n@method("oracle")\ndef f(problem, *, rng): ...\n'
     )
     kept = methods._REGISTRY["oracle"]
     try:
-        with pytest.raises(ValueError, match="'oracle' is taken by fmsync.bench.methods.oracle"):
+        with pytest.raises(ValueError, match="'oracle' is taken by bench.methods.oracle"):
             methods.load(tmp_path / "thief_for_a_test.py")
     finally:
         methods._REGISTRY["oracle"] = kept
@@ -182,7 +182,7 @@ def test_relative_maps_of_absolute(planted):
 
 @pytest.fixture(scope="module")
 def on_shapes():
-    from data_gen.bench_problems import shapes
+    from bench.problems import shapes
 
     return shapes(seed=0, n_nodes=4, n=14, n_vertices=1000, sigma2=0.01, around="measured", points=100)
 

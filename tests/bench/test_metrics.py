@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bench import metrics
 from fmsync import oracle
-from fmsync.bench import metrics
 from fmsync.problem import cycle_error
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmsync.bench import figures, report, results
+from bench import figures, report, results
 
 
 def record(
@@ -57,7 +57,7 @@ def test_tidy_rows_survive_the_disk(tmp_path):
 
 
 def test_missing_results_say_how_to_make_them(tmp_path):
-    with pytest.raises(ValueError, match="fmsync bench run paper"):
+    with pytest.raises(ValueError, match="python -m bench run paper"):
         results.read(tmp_path / "paper.parquet")
 
 
@@ -149,7 +149,7 @@ def test_table1_puts_ours_beside_the_paper_s(paper):
 def test_readings_that_were_not_run_are_refused(paper):
     reading = {"n_nodes": 4, "two_way": False}
     assert report.readings(paper) == [{**reading, "around": "consistent"}, {**reading, "around": "measured"}]
-    with pytest.raises(ValueError, match="fmsync bench run paper"):
+    with pytest.raises(ValueError, match="python -m bench run paper"):
         report.table1(paper, n_nodes=11)
 
 

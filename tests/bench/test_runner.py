@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from fmsync.bench import methods, runner
-from fmsync.bench.runner import RunError, run_cells
-from fmsync.bench.store import Store
-from fmsync.bench.suites import Cell
+from bench import methods, runner
+from bench.runner import RunError, run_cells
+from bench.store import Store
+from bench.suites import Cell
 
 TRICKS = str(Path(__file__).with_name("tricks.py"))
 methods.load(TRICKS)
@@ -25,8 +25,7 @@ methods.load(TRICKS)
 def cells(method, count, **options):
     problem = {"n_nodes": 4, "n": 3, "sigma2": 0.1}
     return [
-        Cell("data_gen.bench_problems:rotations", problem, seed, method, method, options, file=TRICKS)
-        for seed in range(count)
+        Cell("bench.problems:rotations", problem, seed, method, method, options, file=TRICKS) for seed in range(count)
     ]
 
 
@@ -177,7 +176,7 @@ use = "trick-count"
 log = {log}
 seconds = 0.05
 [[grid]]
-generator = "data_gen.bench_problems:rotations"
+generator = "bench.problems:rotations"
 problem = {{ n_nodes = 4, n = 3, sigma2 = 0.1 }}
 methods = ["slow"]
 """
@@ -188,7 +187,7 @@ def test_sigkill_loses_and_repeats_no_finished_cell(tmp_path, after):
     log, folder = tmp_path / "log", tmp_path / "store"
     suite = tmp_path / "killed.toml"
     suite.write_text(SUITE.format(log=json.dumps(str(log))))
-    command = [sys.executable, "-m", "fmsync.cli", "bench", "run", str(suite), "--with", TRICKS, "--store", str(folder)]
+    command = [sys.executable, "-m", "bench", "run", str(suite), "--with", TRICKS, "--store", str(folder)]
     command += ["--jobs", "2", "--results", str(tmp_path / "results"), "--only", "^slow "]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     deadline = time.monotonic() + 100

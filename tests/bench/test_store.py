@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from fmsync.bench.store import CorruptCellError, Store, key_of
+from bench.store import CorruptCellError, Store, key_of
 
 KEY = key_of({"a": 1})
 

@@ -2,9 +2,9 @@
 
 import pytest
 
+from bench.cell import run_cell
+from bench.suites import Cell, SuiteError, load_suite, suite_names
 from data_gen import load_collection
-from fmsync.bench.cell import run_cell
-from fmsync.bench.suites import Cell, SuiteError, load_suite, suite_names
 
 GOOD = """description = "a test"
 seeds = 2
@@ -15,7 +15,7 @@ use = "rlfm"
 n_draws = 10
 
 [[grid]]
-generator = "data_gen.bench_problems:rotations"
+generator = "bench.problems:rotations"
 problem = { n_nodes = [4, 5], n = 3, sigma2 = [0.1, 0.2, 0.3] }
 methods = ["spectral", "quick"]
 """
@@ -90,7 +90,7 @@ def test_the_address_depends_on_what_runs_and_not_on_its_name_or_limits(suite):
         ('"spectral"', '"spectrall"', "line 12: .*spectrall.*spectral"),
         ('use = "rlfm"', 'use = "rlmf"', "line 6: .*rlmf.*rlfm"),
         (":rotations", ":rotation", "line 10: .*rotation"),
-        ("data_gen.bench_problems", "data_gen.nowhere", "line 10: .*nowhere"),
+        ("bench.problems", "data_gen.nowhere", "line 10: .*nowhere"),
         ("seeds = 2", 'seeds = "2"', "line 2: seeds"),
         ("seeds = 2", "seeds = 0", "line 2: seeds must be > 0"),
         ("seeds = 2", "", "seeds is missing"),
@@ -131,7 +131,7 @@ def test_changed_data_never_meet_an_old_cell(collection):
     problem = {"n_nodes": 2, "n": 4, "collection": "kittens", "sigma2": 0.1}
 
     def cell():
-        return Cell("data_gen.bench_problems:shapes", problem, 0, "mle", "mle")
+        return Cell("bench.problems:shapes", problem, 0, "mle", "mle")
 
     before, error = cell().key, run_cell(cell())["metrics"][3]
     file = collection / "cat1.off"

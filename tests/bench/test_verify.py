@@ -4,17 +4,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmsync.bench import results
-from fmsync.bench.cell import run_cell, run_together
-from fmsync.bench.suites import Cell
-from fmsync.bench.verify import agrees, verify
-from fmsync.cli import main
+from bench import results
+from bench.__main__ import main
+from bench.cell import run_cell, run_together
+from bench.suites import Cell
+from bench.verify import agrees, verify
 
 PROBLEM = {"n_nodes": 5, "n": 4, "sigma2": 0.1}
 
 
 def cell(method, seed, problem=PROBLEM, **options):
-    return Cell("data_gen.bench_problems:rotations", problem, seed, method, method, options)
+    return Cell("bench.problems:rotations", problem, seed, method, method, options)
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +93,10 @@ def test_more_cells_than_there_are(frame):
 
 def test_command(frame, tmp_path, capsys):
     results.write(frame, tmp_path / "mine.parquet")
-    assert main(["bench", "verify", "--cells", "3", "--results", str(tmp_path)]) == 0
+    assert main(["verify", "--cells", "3", "--results", str(tmp_path)]) == 0
     assert "all agree" in capsys.readouterr().out
     results.write(with_errors(frame, "mle", lambda v: v + 1), tmp_path / "mine.parquet")
-    assert main(["bench", "verify", "mine", "--cells", "6", "--results", str(tmp_path)]) == 1
+    assert main(["verify", "mine", "--cells", "6", "--results", str(tmp_path)]) == 1
     assert "differs: edge_error" in capsys.readouterr().out
-    assert main(["bench", "verify", "--results", str(tmp_path / "nowhere")]) == 2
+    assert main(["verify", "--results", str(tmp_path / "nowhere")]) == 2
     assert "--results" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmsync.bench.methods import Answer, method
+from bench.methods import Answer, method
 
 
 def right(problem):

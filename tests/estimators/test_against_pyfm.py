@@ -15,7 +15,7 @@ def rms_error(relative, truth):
 
 @pytest.fixture
 def network():
-    from fmsync.bench.methods.pyfm_network import pyfm_network
+    from bench.methods.pyfm_network import pyfm_network
 
     return lambda problem, **options: pyfm_network(problem, rng=np.random.default_rng(0), **options)
 

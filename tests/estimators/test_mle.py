@@ -4,6 +4,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
+import bench.peers  # noqa: F401  registers the peers
 import fmsync
 from fmsync.problem import gradient
 

@@ -7,7 +7,7 @@ import pytest
 
 import data_gen
 import fmsync
-from fmsync.bench.own_shapes_confidence import planted_flips, planted_noise
+from bench.own_shapes_confidence import planted_flips, planted_noise
 from fmsync.pipeline import fit_recalibration, pairwise, synchronise
 from fmsync.pipeline.confidence import Confidence, _stretch, two_modes
 from fmsync.pipeline.doubts import doubts

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import iv
 
+import bench.peers  # noqa: F401  registers the peers
 import data_gen
 import fmsync
 from fmsync import problem as energies

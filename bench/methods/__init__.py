@@ -1,0 +1,210 @@
+"""What the benchmark compares. A method is one file: a function ``(problem, *, rng, **options) -> Answer`` and a name.
+
+Everything registered in :mod:`fmsync.estimators` and :mod:`fmsync.samplers` takes part under its own name; files here
+add controls, protocols and peers. A file anywhere else takes part after :func:`load`.
+"""
+
+import difflib
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from fmsync import estimators, samplers
+from fmsync.problem import relative_maps
+from fmsync.samplers.together import sample_together
+
+Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
+
+_NOT_OPTIONS = {"problem", "rng", "callback", "start", "self", "method", "options", "kwargs"}
+_REGISTRY: dict[str, "Method"] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method says about a problem.
+
+    Attributes
+    ----------
+    relative
+        Gives the relative maps (K, n, n) of any pairs (K, 2); NaN for pairs it says nothing about.
+    draws
+        (T, N, n, n) absolute rotations, each in any gauge, of methods that sample; else None.
+    numbers
+        Called after the clock has stopped: metrics that only the method can know, such as ESS a second.
+    path
+        (step, relative) on the way to the answer, for figures of convergence.
+    """
+
+    relative: Relative
+    draws: np.ndarray | None = None
+    numbers: Callable[[], Mapping[str, float]] = dict
+    path: tuple[tuple[int, Relative], ...] = ()
+
+    @classmethod
+    def from_absolute(cls, absolute: np.ndarray, **fields) -> "Answer":
+        """From rotations (N, n, n).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Answer.from_absolute(np.stack([np.eye(3)] * 4)).relative(np.array([[0, 3]])).shape
+        (1, 3, 3)
+        """
+        return cls(lambda pairs: relative_maps(absolute, pairs), **fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A registered method; ``kind`` is "estimator", "sampler" or "function"."""
+
+    name: str
+    function: Callable
+    kind: str = "function"
+    sees_planted: bool = False
+
+    @cached_property
+    def module(self) -> str:
+        """Module that holds the method's own file."""
+        return self.function.__module__
+
+    @cached_property
+    def option_names(self) -> set[str] | None:
+        """Options it takes; None when it passes on whatever it is given."""
+        signatures = [inspect.signature(self.function)]
+        if self.kind == "sampler":
+            signatures.append(inspect.signature(samplers.sample))
+        if self.kind == "estimator" and "init" in signatures[0].parameters:
+            return set(signatures[0].parameters) - _NOT_OPTIONS | {"restarts"}
+        if self.kind == "function" and any(p.kind is p.VAR_KEYWORD for p in signatures[0].parameters.values()):
+            return None
+        return {name for signature in signatures for name in signature.parameters} - _NOT_OPTIONS
+
+    def run(self, planted, rng: np.random.Generator, options: Mapping[str, object]) -> Answer:
+        """Answer a :class:`~bench.planted.Planted` problem."""
+        if self.kind == "estimator":
+            estimate = estimators.solve(planted.problem, self.name, rng=rng, **options)
+            return Answer(estimate.relative)
+        if self.kind == "sampler":
+            return sampled(planted.problem, self.name, rng=rng, **options)
+        return self.function(planted if self.sees_planted else planted.problem, rng=rng, **options)
+
+    def can_run_together(self, options: Mapping[str, object]) -> bool:
+        """Whether problems of one size can be answered as one batch: one chain of ``"rlfm"`` for each."""
+        return self.name == "rlfm" and options.get("n_chains") == 1
+
+    def run_together(
+        self, planted: Sequence, rngs: Sequence[np.random.Generator], options: Mapping[str, object]
+    ) -> list[Answer]:
+        """Answers to several problems, each the one that :meth:`run` gives."""
+        options = {name: value for name, value in options.items() if name != "n_chains"}
+        began = time.perf_counter()
+        posteriors = sample_together([one.problem for one in planted], rngs=rngs, **options)
+        share = (time.perf_counter() - began) / len(posteriors)
+        return [_answer(post, share) for post in posteriors]
+
+
+def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Answer:
+    """Draws of a sampler; its point answer is the chordal mean of the relative maps, free of any gauge."""
+    began = time.perf_counter()
+    post = samplers.sample(problem, method, rng=rng, **options)
+    return _answer(post, time.perf_counter() - began)
+
+
+def _answer(post: samplers.Posterior, seconds: float) -> Answer:
+    def numbers() -> dict[str, float]:
+        ess = post.summary()["ess_bulk"].min()
+        return {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
+
+    draws = np.swapaxes(post.absolute, 0, 1).reshape(-1, *post.absolute.shape[2:])  # chains take turns
+    return Answer(post.relative_mean, draws, numbers)
+
+
+def method(name: str, *, sees_planted: bool = False) -> Callable[[Callable], Callable]:
+    """Register ``(problem, *, rng, **options) -> Answer`` under a name.
+
+    With ``sees_planted`` it is given the :class:`~bench.planted.Planted` problem, truth included: for controls.
+
+    Examples
+    --------
+    >>> import bench
+    >>> "oracle" in bench.methods.names()
+    True
+    """
+
+    def register(function: Callable) -> Callable:
+        _REGISTRY[name] = Method(name, function, "function", sees_planted)
+        return function
+
+    return register
+
+
+def names() -> list[str]:
+    """Names that a suite may use."""
+    importlib.import_module("bench.peers")
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    return sorted({*estimators.methods(), *samplers.methods(), *_REGISTRY})
+
+
+def get(name: str) -> Method:
+    """The method of that name; a ValueError with the nearest names when there is none."""
+    if (found := _registered(name)) is not None:
+        return found
+    known = names()  # looks through the folders only when it must
+    if (found := _registered(name)) is not None:
+        return found
+    close = difflib.get_close_matches(name, known)
+    hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
+    raise ValueError(f"method: there is no {name!r}; {hint}")
+
+
+def _registered(name: str) -> Method | None:
+    if name in _REGISTRY:
+        return _REGISTRY[name]
+    for registry, kind in ((estimators._REGISTRY, "estimator"), (samplers._REGISTRY, "sampler")):
+        if name in registry:
+            return Method(name, registry[name], kind)
+    return None
+
+
+def load(file: str | Path) -> list[str]:
+    """Run a file that registers methods (of any of the three kinds); gives the names it added.
+
+    Raises
+    ------
+    ValueError
+        The file is missing or registers nothing.
+    """
+    path = Path(file).resolve()
+    if not path.is_file():
+        raise ValueError(f"{file}: there is no such file")
+    module_name = f"fmsync_bench_file_{path.stem}"
+    if getattr(sys.modules.get(module_name), "__file__", None) != str(path):
+        names()
+        before = dict(_all_functions())
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[module_name] = module
+        spec.loader.exec_module(module)
+        replaced = [name for name, function in before.items() if _all_functions()[name] is not function]
+        if replaced:
+            home = before[replaced[0]].__module__
+            raise ValueError(f"{file}: the name {replaced[0]!r} is taken by {home}; choose another")
+    added = [name for name, function in _all_functions().items() if function.__module__ == module_name]
+    if not added:
+        raise ValueError(f'{file}: registers no method; decorate a function with @method("name")')
+    return added
+
+
+def _all_functions() -> dict[str, Callable]:
+    own = {name: entry.function for name, entry in _REGISTRY.items()}
+    return {**estimators._REGISTRY, **samplers._REGISTRY, **own}

@@ -1,0 +1,31 @@
+"""An iterative estimator with every step of its way, for the figure of convergence."""
+
+import numpy as np
+
+from bench.methods import Answer, method
+from fmsync import estimators
+from fmsync.problem import relative_maps
+
+_MOST_STEPS = 60
+
+
+@method("convergence")
+def convergence(problem, *, rng, of: str = "mle", on_group: bool = True, **options) -> Answer:
+    """``of`` with the maps it passed through; ``on_group`` False reads relative maps as inverses, not transposes."""
+    states = []
+
+    def keep(iteration, absolute, cost, gradient_norm):
+        if iteration <= _MOST_STEPS:
+            states.append((iteration, absolute.copy()))
+
+    estimate = estimators.solve(problem, of, rng=rng, callback=keep, **options)
+
+    def reader(absolute):
+        def relative(pairs):
+            if on_group:
+                return relative_maps(absolute, pairs)
+            return np.linalg.solve(absolute[pairs[:, 0]], absolute[pairs[:, 1]])
+
+        return relative
+
+    return Answer(estimate.relative, path=tuple((iteration, reader(absolute)) for iteration, absolute in states))

@@ -1,0 +1,87 @@
+r"""pyFM's functional map network (Huang et al. 2014; Huang et al. 2020): a consistent latent basis by eigenvectors.
+
+pyFM's map (i, j) takes functions on i to functions on j, so our C_ij is its map (j, i). Its bases Y_i answer
+:math:`C_{ij} = Y_i Y_j^{-1}`.
+"""
+
+import numpy as np
+import scipy.sparse
+
+from bench.methods import Answer, method
+from fmsync import so
+
+_EIGENVALUE_SHIFT = 1e-6
+
+
+@method("pyfm-network")
+def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjacency") -> Answer:
+    """The network's maps, raw or projected to SO(n).
+
+    Parameters
+    ----------
+    problem, rng
+        As for every method; of repeated observations the mean is used, since a network holds one map a pair.
+    projected
+        Round the latent bases to rotations.
+    weights
+        ``"adjacency"``; ``"icsm"``, pyFM's weights from 3-cycles, which it multiplies in the wrong order, so that exactly
+        consistent maps have positive cycle errors; ``"icsm-fixed"``, the same with the right order.
+    """  # noqa: E501
+    if weights not in ("adjacency", "icsm", "icsm-fixed"):
+        raise ValueError(f"weights: 'adjacency', 'icsm' or 'icsm-fixed', not {weights!r}")
+    network = _network(problem, fixed=weights == "icsm-fixed")
+    if weights != "adjacency" and not _has_cycles(network):
+        raise ValueError("weights: the graph has no 3-cycle to weigh; use 'adjacency'")
+    network.set_weights(weight_type="adjacency" if weights == "adjacency" else "icsm")
+    network.compute_W(M=problem.n)
+    bases = _latent_bases(network, rng)
+    if projected:
+        if np.linalg.det(bases).sum() < 0:
+            bases = bases * np.where(np.arange(problem.n) == 0, -1.0, 1.0)
+        return Answer.from_absolute(so.project(so.transpose(bases)))
+    return Answer(lambda pairs: bases[pairs[:, 0]] @ np.linalg.inv(bases[pairs[:, 1]]))
+
+
+def cycle_error_of(problem, *, fixed: bool) -> float:
+    """Largest 3-cycle error that pyFM sees in the observed maps, in its own order of composition or the right one."""
+    network = _network(problem, fixed)
+    network.extract_3_cycles()
+    return max(network.get_cycle_weight(cycle, M=problem.n) for cycle in network.cycles)
+
+
+def _network(problem, fixed: bool):
+    try:
+        from pyFM.FMN import FMN
+    except ImportError as error:
+        raise ImportError("pyfm-network needs pyFM: pip install 'fmsync[peers]'") from error
+
+    class RightOrder(FMN):
+        def get_cycle_weight(self, cycle, M=None):
+            i, j, k = cycle
+            c_ij, c_jk, c_ki = (self.maps[edge][:M, :M] for edge in ((i, j), (j, k), (k, i)))
+            loops = (c_ki @ c_jk @ c_ij, c_ij @ c_ki @ c_jk, c_jk @ c_ij @ c_ki)  # i -> j -> k -> i, and from j, from k
+            return max(np.linalg.norm(loop - np.eye(len(loop))) for loop in loops)
+
+    maps, counts = {}, {}
+    for (i, j), c in zip(problem.edges.tolist(), problem.maps):
+        for pair, observation in (((j, i), c), ((i, j), c.T)):
+            maps[pair] = maps.get(pair, 0.0) + observation
+            counts[pair] = counts.get(pair, 0) + 1
+    network = (RightOrder if fixed else FMN)([None] * problem.n_nodes)
+    return network.set_maps({pair: total / counts[pair] for pair, total in maps.items()})
+
+
+def _has_cycles(network) -> bool:
+    network.extract_3_cycles()
+    network.compute_Amat()
+    return bool(network.cycles)
+
+
+def _latent_bases(network, rng: np.random.Generator) -> np.ndarray:
+    """(N, n, n): ``FMN.compute_CLB`` with a start vector, without which the same input gives different bits."""
+    size = network.W.shape[0]
+    mass = scipy.sparse.eye(size) / network.n_meshes
+    _, vectors = scipy.sparse.linalg.eigsh(
+        network.W, M=mass, k=network.M, which="LM", sigma=-_EIGENVALUE_SHIFT, v0=rng.standard_normal(size)
+    )
+    return vectors.reshape(network.n_meshes, network.M, network.M)

@@ -1,0 +1,174 @@
+"""Problems of the benchmark suites, made from plain parameters and a seed.
+
+A suite names a function of this file, such as ``bench.problems:rotations``; fmsync imports it while it runs.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from bench.metrics import thinned
+from bench.planted import Planted
+from data_gen.collections import collection_files, load_collection
+from data_gen.graphs import random_graph
+from data_gen.noise import perturb
+from data_gen.truth import GroundTruth, ground_truth
+from data_gen.truth import planted as planted_rotations
+from fmsync import bounds, laplace_beltrami
+
+_MOST_NODES = 1500  # beyond it the factor of a random graph's Laplacian is dense, and there are no reference lines
+_ONE_EDGE = np.array([[0, 1]])
+
+
+def rotations(
+    *,
+    seed: int,
+    n_nodes: int,
+    n: int,
+    density: float = 1.0,
+    sigma2: float | None = None,
+    kappa: float | None = None,
+    noise: str = "projected-gaussian",
+    two_way: bool = False,
+    outliers: float = 0.0,
+) -> Planted:
+    """Haar-random absolute maps on a random connected graph.
+
+    Examples
+    --------
+    >>> from bench.problems import rotations
+    >>> rotations(seed=0, n_nodes=4, n=5, sigma2=0.1).problem.n_edges
+    6
+    """
+    for_graph, for_truth, for_noise = _streams(seed)
+    truth = planted_rotations(n_nodes, n, random_graph(n_nodes, density, for_graph), for_truth)
+    return _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers)
+
+
+def shapes(
+    *,
+    seed: int,
+    n_nodes: int,
+    n: int,
+    collection: str = "cats",
+    n_vertices: int = 5000,
+    density: float = 1.0,
+    sigma2: float | None = None,
+    kappa: float | None = None,
+    noise: str = "projected-gaussian",
+    around: str = "consistent",
+    two_way: bool = False,
+    outliers: float = 0.0,
+    outlier_kind: str = "haar",
+    points: int = 0,
+) -> Planted:
+    """Functional maps between ``n_nodes`` random shapes of a collection, in the paper's protocol.
+
+    Parameters
+    ----------
+    seed
+        Chooses the shapes, the graph and the noise.
+    collection, n_vertices
+        See :func:`data_gen.load_collection`; vertices are those of the synthetic cats.
+    points
+        Bring the bases, and geodesic distances from so many vertices, spread evenly over their order, so that point
+        maps can be scored.
+    """
+    for_graph, for_choice, for_noise = _streams(seed)
+    files = _stamps(collection)
+    loaded, bases = _collection(collection, n_vertices, n, files)
+    if n_nodes > len(loaded):
+        raise ValueError(f"n_nodes: {n_nodes} shapes of a collection of {len(loaded)}")
+    chosen = np.sort(for_choice.permutation(len(loaded))[:n_nodes])
+    truth = ground_truth(
+        [loaded[k] for k in chosen], random_graph(n_nodes, density, for_graph), n, bases=[bases[k] for k in chosen]
+    )
+    if outlier_kind == "flip":
+        raise ValueError("outlier_kind: 'flip' needs a collection with a mirror map; use 'haar'")
+    planted = _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers, around)
+    if not points:
+        return planted
+    scored = thinned(loaded[0].n_vertices, points)
+    distances = tuple(_distances(collection, n_vertices, int(k), points, files) for k in chosen)
+    return Planted(planted.problem, planted.truth, planted.references, truth.bases, scored, distances)
+
+
+def data_files(problem: Mapping[str, object]) -> list[Path]:
+    """Files that a problem is read from, part of what its cells are: none for what is made by this package alone.
+
+    Raises
+    ------
+    ValueError
+        The collection is not on this machine.
+
+    Examples
+    --------
+    >>> data_files({"collection": "cats", "n": 20})
+    []
+    """
+    collection = problem.get("collection", "cats")
+    return [] if collection == "cats" else collection_files(collection)
+
+
+def _streams(seed: int) -> list[np.random.Generator]:
+    """Generators of graph, truth and noise: the graph does not change when the noise takes one number more."""
+    return [np.random.default_rng([int(seed), k]) for k in range(3)]
+
+
+def _observed(truth: GroundTruth, rng, sigma2, kappa, noise, two_way, outliers, around="consistent") -> Planted:
+    problem = perturb(truth, sigma2, rng, noise=noise, kappa=kappa, two_way=two_way, outliers=outliers, around=around)
+    return Planted(problem, truth.absolute, _references(problem, sigma2, kappa, noise, outliers))
+
+
+def _references(problem, sigma2, kappa, noise, outliers) -> dict[str, float]:
+    """Root mean squares over the edges of the error floor and of the expected error, where theory knows them."""
+    if outliers or not (sigma2 or kappa) or problem.n_nodes > _MOST_NODES:
+        return {}
+    n_nodes, n = problem.n_nodes, problem.n
+    resistance = _mean_resistance(n_nodes, tuple(problem.edges.ravel().tolist()))
+    if noise == "langevin":
+        return {"floor_rms": float(np.sqrt(bounds.langevin_error_bound(2, _ONE_EDGE, n, kappa)[0] * resistance))}
+    found = {"floor_rms": float(np.sqrt(n * (n - 1) / 2 * sigma2 * resistance))}
+    if noise == "projected-gaussian":
+        found["expected_rms"] = float(_expected_on_one_edge(n, sigma2) * np.sqrt(resistance))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _mean_resistance(n_nodes: int, ends: tuple[int, ...]) -> float:
+    """Of the pairs that are observed, each once; many problems share a graph."""
+    edges = np.reshape(ends, (-1, 2))
+    return float(bounds.effective_resistance(n_nodes, edges, np.unique(np.sort(edges, axis=1), axis=0)).mean())
+
+
+@lru_cache(maxsize=64)
+def _expected_on_one_edge(n: int, sigma2: float) -> float:
+    return float(bounds.expected_rms_error(2, _ONE_EDGE, n, sigma2)[0])  # R = 1
+
+
+def _stamps(collection: str) -> tuple:
+    """Paths, times and sizes of the files of a collection: what is kept of it is not used once they have changed."""
+    return tuple(
+        (file, file.stat().st_mtime_ns, file.stat().st_size) for file in data_files({"collection": collection})
+    )
+
+
+@lru_cache(maxsize=4)
+def _collection(name: str, n_vertices: int, n: int, stamps: tuple):
+    loaded = load_collection(name, n_vertices=n_vertices) if name == "cats" else load_collection(name)
+    return loaded, [laplace_beltrami(shape.vertices, shape.faces, n) for shape in loaded]
+
+
+@lru_cache(maxsize=16)
+def _distances(name: str, n_vertices: int, k: int, points: int, stamps: tuple) -> np.ndarray:
+    """(P, V) heat-method geodesic distances from some vertices of a shape, in square roots of its area, float32."""
+    import potpourri3d
+
+    shape = load_collection(name, n_vertices=n_vertices)[k] if name == "cats" else load_collection(name)[k]
+    corners = shape.vertices[shape.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    solver = potpourri3d.MeshHeatMethodDistanceSolver(shape.vertices, shape.faces)
+    sources = thinned(len(shape.vertices), points)
+    return np.stack([(solver.compute_distance(v) / np.sqrt(area)).astype(np.float32) for v in sources])

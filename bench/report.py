@@ -1,0 +1,246 @@
+"""Tables of results: Table 1 cell by cell beside the paper's, and a scoreboard of any suite."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bench import results
+from bench.metrics import root_mean_square
+from fmsync.bounds import recovery_threshold
+
+_PAPER = Path(__file__).with_name("paper_table1.csv")
+_OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
+_MOST_PANELS = 6
+_SCORES = ("edge_error", "seconds", "cpu_seconds", "peak_memory")
+
+
+def paper_table() -> pd.DataFrame:
+    """The 75 printed cells: label, density, sigma2, paper.
+
+    Examples
+    --------
+    >>> from bench.report import paper_table
+    >>> len(paper_table())
+    75
+    """
+    return pd.read_csv(_PAPER)
+
+
+def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, around: str = "consistent") -> pd.DataFrame:
+    """Results of the suite ``paper`` in one reading of its protocol, beside the printed cells.
+
+    Parameters
+    ----------
+    frame
+        Rows of :func:`bench.results.read`.
+    n_nodes, two_way, around
+        The reading: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured maps.
+
+    Returns
+    -------
+    DataFrame
+        label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
+        agrees (whether the printed number lies in the interval), floor and expected (root mean squares), recoverable
+        (whether σ² is below the heuristic threshold, beyond which the floor is not valid).
+
+    Raises
+    ------
+    ValueError
+        There are no such results.
+    """
+    chosen = _reading(frame, n_nodes, two_way, around)
+    labels = [label for label in [*paper_table().label.unique(), *_OWN_ROWS] if label in set(chosen.label)]
+    table = results.summarise(chosen[chosen.label.isin(labels)], ["label", "density", "sigma2"], "edge_error")
+    table = table.merge(paper_table(), how="left", on=["label", "density", "sigma2"])
+    table["agrees"] = (table.low <= table.paper) & (table.paper <= table.high)
+    for name in ("floor", "expected"):
+        lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
+        table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
+    threshold = recovery_threshold(n_nodes, int(chosen.n.iloc[0]), 2 if two_way else 1)
+    table["recoverable"] = table.sigma2 < threshold
+    table["label"] = pd.Categorical(table.label, labels, ordered=True)
+    return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
+
+
+def readings(frame: pd.DataFrame) -> list[dict]:
+    """The readings of the protocol for which there are results, as arguments of :func:`table1`."""
+    rows = frame[frame.label.isin(["MLE (1)", "MLE (2)"])][["n_nodes", "two_way", "around"]].drop_duplicates()
+    rows = rows.assign(two_way=rows.two_way.eq(True), around=rows.around.fillna("consistent"))  # absent: the default
+    found = [{"n_nodes": int(n), "two_way": bool(t), "around": a} for n, t, a in rows.itertuples(index=False)]
+    return [dict(reading) for reading in dict.fromkeys(tuple(reading.items()) for reading in found)]
+
+
+def reading_name(n_nodes: int, two_way: bool, around: str) -> str:
+    """A reading of the protocol in words.
+
+    Examples
+    --------
+    >>> from bench.report import reading_name
+    >>> reading_name(4, False, "consistent")
+    'N = 4, one observation of a pair, noise around consistent maps'
+    """
+    observations = "two observations" if two_way else "one observation"
+    return f"N = {n_nodes}, {observations} of a pair, noise around {around} maps"
+
+
+def standings(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Every method on every suite: its error over that of the best method, the geometric mean over the problems.
+
+    Parameters
+    ----------
+    boards
+        Tables of :func:`scoreboard` by the name of their suite. Methods without error see the truth and do not count.
+
+    Returns
+    -------
+    DataFrame
+        label in rows, suites in columns; 1 is the best of all on every problem, NaN did not take part.
+    """
+    columns = {}
+    for name, board in boards.items():
+        rows = board[board.error > 0]
+        over = np.log(rows.error / rows.groupby("problem").error.transform("min"))
+        columns[name] = np.exp(over.groupby(rows.label).mean())
+    table = pd.DataFrame(columns)
+    return table.loc[table.mean(axis=1).sort_values().index].rename_axis("label")
+
+
+def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
+    """One row for every method and kind of problem of a suite, best error first within a problem.
+
+    Returns
+    -------
+    DataFrame
+        problem, label, error (mean over seeds), low, high, rms (as floor and expected are), seconds and cpu (medians), memory (median, MB), failed (cells
+        that gave no answer), floor and expected where theory knows them.
+    """  # noqa: E501
+    scalar = frame[frame["at"].isna()]
+    keys = ["problem", "label"]
+    errors = results.summarise(scalar, keys, "edge_error").rename(columns={"mean": "error"})
+    medians = scalar[scalar.metric.isin(_SCORES[1:])].pivot_table(
+        index=keys, columns="metric", values="value", aggfunc="median"
+    )
+    squares = scalar[scalar.metric == "edge_rms"].groupby(keys)["value"].agg(root_mean_square).rename("rms")
+    lines = scalar[scalar.metric.isin(["floor_rms", "expected_rms"])].pivot_table(
+        index="problem", columns="metric", values="value"
+    )
+    cells = frame.drop_duplicates([*keys, "seed"])
+    failed = (cells.status != "ok").groupby([cells.problem, cells.label]).sum().rename("failed").reset_index()
+    table = failed.merge(errors, how="left", on=keys).merge(medians.reset_index(), how="left", on=keys)
+    table = table.merge(squares.reset_index(), how="left", on=keys).merge(lines.reset_index(), how="left", on="problem")
+    names = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
+    table = table.rename(columns=names)
+    order = [
+        "problem",
+        "label",
+        "error",
+        "low",
+        "high",
+        "rms",
+        "seconds",
+        "cpu",
+        "memory",
+        "failed",
+        "floor",
+        "expected",
+    ]
+    return table.reindex(columns=order).sort_values(["problem", "error"], ignore_index=True)
+
+
+def report(frame: pd.DataFrame) -> str:
+    """The tables of a suite as text."""
+    lines = [_made_by(frame)]
+    if frame.suite.str.startswith("paper").all():
+        lines += [_text_of_table1(frame, reading) for reading in readings(frame)]
+    else:
+        board = scoreboard(frame)
+        for problem, group in board.groupby("problem", sort=False):
+            lines.append(_named(problem))
+            shown = group.drop(columns="problem").dropna(axis="columns", how="all")
+            lines.append(shown.to_string(index=False, float_format="{:.4g}".format))
+    failed = frame[frame.status != "ok"]
+    if len(failed):
+        lines.append(f"{len(failed)} cells gave no answer:")
+        lines += [
+            f"  {row.status}: {row.label} {_named(row.problem)} seed {row.seed}: {row.detail}"
+            for row in failed.head(20).itertuples()
+        ]
+    return "\n\n".join(lines)
+
+
+def _reading(frame: pd.DataFrame, n_nodes: int, two_way: bool, around: str) -> pd.DataFrame:
+    where = frame.around.fillna("consistent")
+    chosen = frame[
+        (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & (where == around) & frame.density.notna()
+    ]
+    if chosen.empty:
+        reading = f"n_nodes={n_nodes}, two_way={two_way}, around={around!r}"
+        raise ValueError(f"no results for {reading}; make them with 'python -m bench run paper'")
+    return chosen
+
+
+def _text_of_table1(frame: pd.DataFrame, reading: dict) -> str:
+    table = table1(frame, **reading)
+    head = (
+        f"{reading_name(**reading)}\n"
+        "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery threshold"
+    )
+    cells = {}
+    for row in table.itertuples():
+        text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
+        if pd.notna(row.paper):
+            text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
+        cells[(row.label, row.density, f"{row.sigma2:g}{'' if row.recoverable else chr(39)}")] = text
+    for name in ("floor", "expected"):
+        for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
+            key = (f"{name} (rms)", row.density, f"{row.sigma2:g}{'' if row.recoverable else chr(39)}")
+            cells[key] = f"{getattr(row, name):.2f}"
+    wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
+    return f"{head}\n{wide.to_string()}"
+
+
+def _made_by(frame: pd.DataFrame) -> str:
+    def joined(name):
+        return "; ".join(sorted(value for value in frame[name].dropna().unique() if value))
+
+    seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
+    return (
+        f"suite {frame.suite.iloc[0]}: {seeds.sum()} cells, {seeds.min()} to {seeds.max()} seeds\n"
+        f"commit {joined('commit')}\nmachine {joined('machine')}\n{joined('versions')}"
+    )
+
+
+def _named(problem: str) -> str:
+    return ", ".join(f"{name}={value}" for name, value in json.loads(problem).items())
+
+
+def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
+    """Draw the figures of a suite as PNG files into a folder; gives their paths."""
+    from bench import figures
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = {}
+    if frame.suite.str.startswith("paper").all():
+        drawn = {f"table1_{_slug(reading)}": figures.errors(table1(frame, **reading)) for reading in readings(frame)}
+        tables = {reading_name(**reading): table1(frame, **reading) for reading in readings(frame)}
+        drawn |= {"density": figures.density(tables)}
+        drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
+    else:
+        board = scoreboard(frame)
+        first = board.problem.drop_duplicates()[:_MOST_PANELS]
+        drawn["scoreboard"] = figures.error_against_seconds(board[board.problem.isin(first)])
+        if frame.metric.eq("point_curve").any():
+            drawn["points"] = figures.point_curves(frame)
+    paths = []
+    for name, figure in drawn.items():
+        paths.append(folder / f"{frame.suite.iloc[0]}_{name}.png")
+        figure.savefig(paths[-1])
+    return paths
+
+
+def _slug(reading: dict) -> str:
+    return f"{reading['n_nodes']}_{'two' if reading['two_way'] else 'one'}_{reading['around']}"

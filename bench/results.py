@@ -1,0 +1,161 @@
+"""One tidy table a suite: a row for every number of every cell, kept as Parquet; intervals and comparisons."""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bench.metrics import METRICS
+
+#: Parameters of problems that have a column of their own; the rest stays in ``problem``.
+PARAMETERS = (
+    "n_nodes",
+    "n",
+    "density",
+    "sigma2",
+    "kappa",
+    "noise",
+    "two_way",
+    "outliers",
+    "around",
+    "collection",
+)
+_RESAMPLES = 2000
+_TIMINGS = ("seconds", "cpu_seconds", "peak_memory", "ess_per_second")
+
+
+def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
+    """Rows (cell, metric, at, value, unit, direction, commit, machine, versions); failed cells have one row, of no metric.
+
+    Examples
+    --------
+    >>> record = {"generator": "g", "problem": {"n": 3}, "seed": 0, "label": "a", "method": "a", "options": {},
+    ...           "status": "ok", "metrics": [["edge_error", None, 0.5]], "commit": "c", "machine": "m", "versions": "v"}
+    >>> to_frame("s", [record])[["label", "metric", "value", "unit", "direction"]].values.tolist()
+    [['a', 'edge_error', 0.5, 'Frobenius', 'lower']]
+    """  # noqa: E501
+    rows = []
+    for record in records:
+        problem = record["problem"]
+        cell = {
+            "suite": suite,
+            "generator": record["generator"],
+            "problem": json.dumps(problem, sort_keys=True),
+            **{name: problem.get(name) for name in PARAMETERS},
+            "seed": record["seed"],
+            "label": record["label"],
+            "method": record["method"],
+            "options": json.dumps(record["options"], sort_keys=True),
+            "status": record["status"],
+            "detail": (record.get("traceback") or "").strip().rpartition("\n")[2] or None,
+            "commit": record["commit"],
+            "machine": record["machine"],
+            "versions": record["versions"],
+        }
+        for name, at, value in record["metrics"] or [(None, None, np.nan)]:
+            metric = METRICS.get(name)
+            unit, direction = (metric.unit, metric.direction) if metric else (None, None)
+            rows.append({**cell, "metric": name, "at": at, "value": value, "unit": unit, "direction": direction})
+    frame = pd.DataFrame(rows)
+    numeric = ["n_nodes", "n", "density", "sigma2", "kappa", "outliers", "at", "value"]
+    frame[numeric] = frame[numeric].apply(pd.to_numeric)
+    return frame
+
+
+def write(frame: pd.DataFrame, path: str | Path) -> None:
+    """Write Parquet under a temporary name and rename it."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".part")
+    repeated = [name for name in frame.columns if frame[name].dtype == object]
+    try:
+        frame.astype({name: "category" for name in repeated}).to_parquet(temporary, compression="zstd", index=False)
+        os.replace(temporary, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def read(path: str | Path) -> pd.DataFrame:
+    """Read what :func:`write` wrote; a ValueError tells how to make a file that is missing."""
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: no results there; make them with 'python -m bench run {path.stem}'")
+    frame = pd.read_parquet(path)
+    return frame.astype({name: object for name in frame.columns if frame[name].dtype == "category"})
+
+
+def bootstrap(values: Sequence[float], level: float = 0.95) -> tuple[float, float]:
+    """Percentile interval of the mean over resampled seeds; NaN for fewer than two.
+
+    Examples
+    --------
+    >>> low, high = bootstrap([1.0, 2.0, 3.0, 4.0])
+    >>> 1.0 < low < 2.5 < high < 4.0
+    True
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) < 2:
+        return np.nan, np.nan
+    drawn = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
+    tail = (1 - level) / 2
+    low, high = np.quantile(values[drawn].mean(axis=1), [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def summarise(frame: pd.DataFrame, by: Sequence[str], metric: str) -> pd.DataFrame:
+    """Mean over seeds of a metric, with its bootstrap interval and the number of seeds, for every group.
+
+    Columns: ``by``, mean, low, high, seeds.
+    """
+    wanted = frame[frame.metric == metric]
+    groups = wanted.groupby(list(by), dropna=False, sort=False)["value"]
+    rows = [
+        (*(key if isinstance(key, tuple) else (key,)), values.mean(), *bootstrap(values), len(values))
+        for key, values in groups
+    ]
+    return pd.DataFrame(rows, columns=[*by, "mean", "low", "high", "seeds"])
+
+
+def compare(before: pd.DataFrame, after: pd.DataFrame, tolerance: float = 0.01) -> pd.DataFrame:
+    """What changed between two results of a suite, in paired seeds.
+
+    A row for every method, metric and problem whose relative change exceeds ``tolerance`` (five times that for seconds
+    and memory) and whose bootstrap interval of the paired differences excludes 0, and for every cell that failed in one
+    of the two alone. Metrics without a better direction are left out.
+
+    Returns
+    -------
+    DataFrame
+        label, metric, problem, before, after, change, verdict "worse", "better" or a status.
+    """
+    keys = ["generator", "problem", "label", "metric"]
+    scalar = [frame[frame["at"].isna() & frame.metric.notna()] for frame in (before, after)]
+    joined = scalar[0].merge(scalar[1], on=[*keys, "seed"], suffixes=("_before", "_after"))
+    rows = []
+    for key, group in joined.groupby(keys, sort=False):
+        metric = METRICS.get(key[3])
+        if metric is None or metric.direction == "none":
+            continue
+        old, new = group.value_before.mean(), group.value_after.mean()
+        change = (new - old) / max(abs(old), 1e-9)
+        difference = group.value_after - group.value_before
+        low, high = bootstrap(difference) if len(group) > 1 else (difference.iloc[0],) * 2
+        limit = tolerance * (5 if metric.name in _TIMINGS else 1)
+        if abs(change) > limit and (low > 0 or high < 0):
+            worse = (change > 0) == (metric.direction == "lower")
+            rows.append((key[2], key[3], key[1], old, new, change, "worse" if worse else "better"))
+    cells = ["generator", "problem", "label", "seed"]
+    status = [frame.drop_duplicates(cells)[[*cells, "status"]] for frame in (before, after)]
+    both = status[0].merge(status[1], on=cells, suffixes=("_before", "_after"))
+    for row in both[(both.status_before == "ok") != (both.status_after == "ok")].itertuples():
+        verdict = f"{row.status_before} -> {row.status_after}"
+        rows.append((row.label, "status", f"{row.problem} seed {row.seed}", np.nan, np.nan, np.nan, verdict))
+    columns = ["label", "metric", "problem", "before", "after", "change", "verdict"]
+    found = pd.DataFrame(rows, columns=columns)
+    return found.sort_values("change", key=np.abs, ascending=False, ignore_index=True)

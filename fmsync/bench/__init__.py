@@ -1,1 +1,0 @@
-"""Suites of problems and methods, run cell by cell: ``fmsync bench run SUITE``."""
