@@ -11,7 +11,7 @@ export MKL_NUM_THREADS ?= 1
 export FMSYNC_DATA
 JOBS ?= 2
 HTML := _build/html/index.html
-.PHONY: setup book book.zip test lint unit notebook-test browser notebooks lab clean
+.PHONY: setup book book.zip test worlds lint unit notebook-test browser notebooks lab clean
 
 book: setup
 	python scripts/sync_notebooks.py --check
@@ -38,6 +38,10 @@ notebook-test: setup
 browser: setup
 	test -f $(HTML) || $(MAKE) book
 	pytest -q -rs -n $(JOBS) -m browser tests/test_book_browser.py tests/pipeline/test_report_browser.py
+
+# every chapter in eight worlds, two arithmetics by four shifts of all seeds: make worlds CHAPTERS="05_oracle 04_rlfm" SEED=1
+worlds: setup
+	python scripts/worlds.py $(CHAPTERS) --seed $(or $(SEED),0) --jobs $(JOBS)
 
 notebooks: setup
 	python scripts/sync_notebooks.py

@@ -33,18 +33,18 @@ def execute(page: Path, folder: Path) -> str | None:
         return None
     except KeyError:
         pass
-    before = _cpu_of_kernels()
+    before = cpu_of_kernels()
     result = single_nb_execution(notebook, cwd=str(page.parent), timeout=300, allow_errors=False)
     if result.err:
         return f"{page.name} failed after {result.time:.1f} s\n{result.exc_string}"
-    data = {"execution_seconds": result.time, "cpu_seconds": _cpu_of_kernels() - before, **surroundings()}
+    data = {"execution_seconds": result.time, "cpu_seconds": cpu_of_kernels() - before, **surroundings()}
     bundle = CacheBundleIn(notebook, str(page), data=data)
     cache.cache_notebook_bundle(bundle, check_validity=False, overwrite=True)
     print(f"executed {page.name} in {result.time:.1f} s", flush=True)
     return None
 
 
-def _cpu_of_kernels() -> float:
+def cpu_of_kernels() -> float:
     """Seconds of processor time of the kernels that this process has seen end: it runs one page at a time."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
@@ -59,15 +59,25 @@ def drop_old_caches(current: Path) -> None:
 
 
 def date_of_the_text() -> str | None:
-    """Seconds since 1970 of the last commit, which pages then carry as their date; None outside a repository."""
-    told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
+    """Seconds since 1970 of the last commit, which pages then carry as their date; None without git or a repository."""
+    try:
+        told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
+    except FileNotFoundError:
+        return None
     return told.stdout.strip() if told.returncode == 0 else None
 
 
-def quiet_profile(folder: Path) -> str:
-    """A folder for IPython that is nobody's own: kernels tell of errors there, not of the sockets they talk through."""
+def quiet_profile(folder: Path, extension: Path | None = None) -> str:
+    """A folder for IPython that is nobody's own: kernels tell of errors there, not of the sockets they talk through.
+
+    ``extension`` is the file of an IPython extension that they load.
+    """
+    lines = ["c.IPKernelApp.log_level = 40"]
+    if extension is not None:
+        lines += [f"import sys; sys.path.append({str(extension.parent)!r})"]
+        lines += [f"c.InteractiveShellApp.extensions = [{extension.stem!r}]"]
     (folder / "profile_default").mkdir()
-    (folder / "profile_default" / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 40\n")
+    (folder / "profile_default" / "ipython_kernel_config.py").write_text("\n".join(lines) + "\n")
     return str(folder)
 
 

@@ -41,8 +41,9 @@ def cache_folder(root: Path = ROOT) -> Path:
 
     digest = hashlib.sha256(f"turnable scenes: {can_render()}".encode())
     files = [root / "requirements.txt"]
-    for room, pattern in (("fmsync", "*.py"), ("data_gen", "*"), ("results", "*")):
-        files += sorted(p for p in (root / room).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
+    for package, pattern in (("fmsync", "*.py"), ("data_gen", "*"), ("bench", "*"), ("results", "*")):
+        files += sorted(p for p in (root / package).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
+    files = [file for file in files if file.name != "worlds.json"]  # of which the status page alone speaks
     for file in files:
         digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
     collection = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"

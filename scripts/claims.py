@@ -1,0 +1,100 @@
+"""IPython extension that records every claim of a page, with its margin, instead of stopping at the first that fails.
+
+``assert a < b`` becomes a record of the text, whether it holds, the two values and their distance; so do the members of
+``and``, and comparisons of arrays under ``all()``. Convergence warnings are recorded too. The records are lines of JSON in
+the file that the environment variable ``FMSYNC_CLAIMS`` names.
+"""
+
+import ast
+import json
+import operator
+import os
+import warnings
+
+import numpy as np
+
+_ORDER = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
+_OTHER = {"Eq": operator.eq, "NotEq": operator.ne, "In": lambda a, b: a in b, "NotIn": lambda a, b: a not in b}
+_OTHER |= {"Is": operator.is_, "IsNot": operator.is_not}
+
+
+class Claims(ast.NodeTransformer):
+    """Replaces each ``assert`` by calls of ``__claim__``."""
+
+    def visit_Assert(self, node: ast.Assert) -> ast.stmt:
+        parts = node.test.values if _is_and(node.test) else [node.test]
+        calls = [ast.Expr(self._call(part)) for part in parts]
+        block = calls[0] if len(calls) == 1 else ast.If(ast.Constant(True), calls, [])
+        return ast.fix_missing_locations(ast.copy_location(block, node))
+
+    def _call(self, test: ast.expr) -> ast.Call:
+        comparison, reduce = test, None
+        if (
+            isinstance(test, ast.Call)
+            and isinstance(test.func, ast.Attribute)
+            and test.func.attr == "all"
+            and isinstance(test.func.value, ast.Compare)
+        ):
+            comparison, reduce = test.func.value, "all"
+        if isinstance(comparison, ast.Compare):
+            operands = [comparison.left, *comparison.comparators]
+            names = [type(op).__name__ for op in comparison.ops]
+        else:
+            operands, names = [test], []
+        arguments = [ast.Constant(ast.unparse(test)), ast.List(operands, ast.Load())]
+        arguments += [ast.Constant(tuple(names)), ast.Constant(reduce)]
+        return ast.Call(ast.Name("__claim__", ast.Load()), arguments, [])
+
+
+def _is_and(test: ast.expr) -> bool:
+    return isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And)
+
+
+def check(text: str, operands: list, names: tuple[str, ...], reduce: str | None) -> dict:
+    """The record of one claim.
+
+    >>> check("1 < 3", [1, 3], ("Lt",), None)
+    {'claim': '1 < 3', 'holds': True, 'values': [1.0, 3.0], 'margin': 2.0}
+    """
+    if not names:
+        return {"claim": text, "holds": bool(operands[0]), "values": [], "margin": None}
+    holds, margins = True, []
+    for name, left, right in zip(names, operands, operands[1:]):
+        answer = (_ORDER | _OTHER)[name](left, right)
+        holds = holds and bool(np.all(answer) if reduce else answer)
+        if name in _ORDER:
+            gap = _numbers(right) - _numbers(left) if name.startswith("L") else _numbers(left) - _numbers(right)
+            margins.append(float(np.min(gap)))
+    values = [float(_numbers(x).flat[0]) if _numbers(x).size == 1 else None for x in operands] if margins else []
+    return {"claim": text, "holds": holds, "values": values, "margin": min(margins, default=None)}
+
+
+def _numbers(x) -> np.ndarray:
+    try:
+        return np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
+
+
+def load_ipython_extension(shell) -> None:
+    """Record the claims and the convergence warnings of this kernel."""
+    path = os.environ["FMSYNC_CLAIMS"]
+
+    def write(record: dict) -> None:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+
+    def claim(*arguments) -> None:
+        write(check(*arguments))
+
+    told = warnings.showwarning
+
+    def showwarning(message, category, *rest, **more) -> None:
+        if category.__name__ == "ConvergenceWarning":
+            write({"warning": str(message)})
+        told(message, category, *rest, **more)
+
+    warnings.showwarning = showwarning
+    warnings.simplefilter("always", category=UserWarning, append=True)
+    shell.user_ns["__claim__"] = claim
+    shell.ast_transformers.append(Claims())
