@@ -9,12 +9,29 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fmsync.extras import MissingExtra, require_all
+
 _STORE = Path(os.environ.get("FMSYNC_BENCH_STORE", ".bench"))
 _RESULTS = Path("results")
+_NEEDED = (  # by some command or suite: what is missing is reported before a run begins
+    "autograd",
+    "distributed",
+    "geomstats",
+    "joblib",
+    "matplotlib",
+    "pandas",
+    "potpourri3d",
+    "pyFM",
+    "pyarrow",
+    "pymanopt",
+    "pyvista",
+    "robust_laplacian",
+    "sklearn",
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; bad input ends with one line and status 2.
+    """Run a command; bad input, or an extra that is missing, ends with one line and status 2.
 
     Examples
     --------
@@ -24,8 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parsed = _parser().parse_args(arguments)
     try:
+        require_all("bench", *_NEEDED)
         return parsed.run(parsed)
-    except ValueError as error:
+    except (ValueError, MissingExtra) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
 

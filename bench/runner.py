@@ -18,6 +18,7 @@ from bench import methods
 from bench.cell import CONTENT, run_together
 from bench.store import CorruptCellError, Store
 from bench.suites import Cell
+from fmsync.extras import require
 
 OnRecord = Callable[[Cell, dict], None]
 Batches = Sequence[tuple[Cell, ...]]
@@ -210,13 +211,10 @@ class _Dask:
     """Workers of a Dask cluster that is already there."""
 
     def __init__(self, scheduler: str):
+        distributed = require("distributed", "bench")
+        self.crashes = (distributed.KilledWorker,)
         try:
-            from distributed import Client, KilledWorker
-        except ImportError as error:
-            raise RunError("dask: not installed; pip install 'fmsync[dask]'") from error
-        self.crashes = (KilledWorker,)
-        try:
-            self._client = Client(scheduler, timeout=5)
+            self._client = distributed.Client(scheduler, timeout=5)
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(
                 f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); "

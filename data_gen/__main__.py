@@ -8,6 +8,7 @@ from data_gen.collections import load_collection
 from data_gen.fingerprints import known_collections, same_triangulation, verify
 from data_gen.isometry import edge_distortion
 from data_gen.report import collection_report
+from fmsync.extras import MissingExtra
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
         return {"list": _list, "isometry": _isometry, "report": _report, "verify": _verify}[options.command](
             options.collection
         )
-    except ValueError as error:
+    except (ValueError, MissingExtra) as error:
         print(error, file=sys.stderr)
         return 1
 

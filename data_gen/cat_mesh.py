@@ -6,11 +6,11 @@ Voronoi diagrams: Valette and Chassery 2004).
 """
 
 import numpy as np
-import pyvista as pv
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from data_gen.cat_body import skin
+from fmsync.extras import require
 
 _LOW, _HIGH = np.array([-1.0, 0.0, -0.05]), np.array([0.58, 0.22, 0.78])
 _LLOYD_STEPS = 60
@@ -45,6 +45,7 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _half_skin(n_vertices):
     """Contour y >= 0 and refine until every future vertex has a good dozen samples; the rim lies exactly in y = 0."""
+    pv = require("pyvista", "shapes")
     step = 0.008
     counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
     grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)

@@ -1,7 +1,8 @@
 """Read one shape from a file: OFF, OBJ, PLY, STL, or TOSCA's pair of ``.vert`` and ``.tri``.
 
 Text formats are read here, so that vertices keep their order (the ground truth of a collection) and a damaged file is
-refused with its line of trouble; PLY and STL go through PyVista. What was read is then examined by ``mesh_repair``.
+refused with its line of trouble; PLY and STL go through PyVista, from the extra ``shapes``. What was read is then
+examined by ``mesh_repair``.
 """
 
 import warnings
@@ -9,9 +10,9 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-import pyvista as pv
 
 from data_gen.mesh_repair import examined
+from fmsync.extras import require
 from fmsync.shape import Shape
 
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".vert")
@@ -30,6 +31,8 @@ def read_shape(path: str | Path) -> Shape:
     ------
     ValueError
         The file cannot be read as a triangle mesh, or the mesh cannot be repaired; says which file and why.
+    ImportError
+        A PLY or STL file, without the extra ``shapes``.
 
     Warns
     -----
@@ -140,6 +143,7 @@ def _read_vert_tri(path):
 
 
 def _read_vtk(path):
+    pv = require("pyvista", "shapes")
     try:
         with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
             warnings.simplefilter("error", UserWarning)

@@ -5,10 +5,11 @@ import sys
 
 import fmsync
 from fmsync import sync_cli
+from fmsync.extras import MissingExtra
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; bad input ends with one line and status 2.
+    """Run a command; bad input, or an extra that is missing, ends with one line and status 2.
 
     Examples
     --------
@@ -23,7 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     parsed = parser.parse_args(arguments)
     try:
         return parsed.run(parsed)
-    except ValueError as error:
+    except (ValueError, MissingExtra) as error:
         print(f"fmsync: {error}", file=sys.stderr)
         return 2
 

@@ -1,9 +1,12 @@
 """Did the chains agree, and how many independent draws are there: R-hat and ESS of gauge-invariant scalars."""
 
+import html
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from arviz_stats.base import array_stats
 
 from fmsync.samplers import Posterior
@@ -14,6 +17,93 @@ _LARGEST_RHAT, _LEAST_ESS = 1.01, 400
 
 class ConvergenceWarning(UserWarning):
     """The chains disagree, or hold too few independent draws; the message says what to do."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Summary:
+    """Statistics of K scalars over all chains and draws; printed, and displayed by a notebook, as a table.
+
+    Attributes
+    ----------
+    names
+        Of the K scalars.
+    mean, sd
+        (K,) mean and standard deviation, in the unit of each scalar.
+    r_hat
+        (K,) rank-normalised split R-hat (:func:`rhat`).
+    ess_bulk, ess_tail
+        (K,) effective sample sizes (:func:`ess`), in draws.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fmsync.diagnostics import Summary
+    >>> one = np.ones(1)
+    >>> table = Summary(("energy",), 12.5 * one, 0.25 * one, 1.001 * one, 812.4 * one, 640.2 * one)
+    >>> table
+             mean    sd  r_hat  ess_bulk  ess_tail
+    energy  12.50  0.25  1.001       812       640
+    >>> table["energy"]["ess_bulk"]
+    812.4
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    sd: np.ndarray
+    r_hat: np.ndarray
+    ess_bulk: np.ndarray
+    ess_tail: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of scalars K."""
+        return len(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a scalar of that name."""
+        return name in self.names
+
+    def __getitem__(self, name: str) -> dict[str, float]:
+        """The five statistics of one scalar by their names; ``KeyError`` when there is no such scalar."""
+        if name not in self.names:
+            raise KeyError(f"{name}: no scalar has this name; there are {', '.join(self.names)}")
+        row = self.names.index(name)
+        return {column: float(getattr(self, column)[row]) for column in _COLUMNS}
+
+    def head(self, count: int) -> "Summary":
+        """The first ``count`` scalars."""
+        return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))
+
+    def __str__(self) -> str:
+        rows = [("", *_COLUMNS), *self._cells()]
+        widths = [max(map(len, column)) for column in zip(*rows)]
+        return "\n".join(
+            "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
+            for row in rows
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{column}</th>" for column in ("", *_COLUMNS))
+        body = "".join(
+            f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+            for name, *cells in self._cells()
+        )
+        return f'<table class="dataframe"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+    def _cells(self) -> list[tuple[str, ...]]:
+        """Text of every row; the mean has as many decimals as the standard deviation has in two significant digits."""
+        rows = []
+        for name in self.names:
+            row = self[name]
+            sd = row["sd"]
+            decimals = int(np.clip(1 - np.floor(np.log10(sd)), 0, 8)) if np.isfinite(sd) and sd > 0 else 3
+            numbers = (f"{row['mean']:.{decimals}f}", f"{sd:.{decimals}f}", f"{row['r_hat']:.3f}")
+            rows.append((name, *numbers, f"{row['ess_bulk']:.0f}", f"{row['ess_tail']:.0f}"))
+        return rows
+
+
+_COLUMNS = ("mean", "sd", "r_hat", "ess_bulk", "ess_tail")
 
 
 def rhat(values: np.ndarray) -> float:
@@ -70,22 +160,24 @@ def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.nd
     return values
 
 
-def summary(post: Posterior, edges: np.ndarray | None = None) -> pd.DataFrame:
+def summary(post: Posterior, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
+
+    Warns with :class:`ConvergenceWarning` when an R-hat is above 1.01 or an effective sample size below 400.
 
     Examples
     --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.sample(p, n_chains=2, n_draws=100, warmup=50).summary().columns.tolist()
-    ['mean', 'sd', 'r_hat', 'ess_bulk', 'ess_tail']
+    >>> fmsync.sample(p, n_chains=2, n_draws=100, warmup=50).summary().names
+    ('energy', 'tr C[0,1]', 'C[0,1][0,0]')
     """
-    rows = {
-        name: (x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for name, x in scalars(post, edges).items()
-    }
-    table = pd.DataFrame.from_dict(rows, orient="index", columns=["mean", "sd", "r_hat", "ess_bulk", "ess_tail"])
-    _warn(table.r_hat, table[["ess_bulk", "ess_tail"]].min(axis=1))
-    return table
+    values = scalars(post, edges)
+    mean, sd, r_hat, bulk, tail = np.array(
+        [(x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for x in values.values()]
+    ).T
+    _warn(tuple(values), r_hat, np.fmin(bulk, tail))
+    return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
 
 def warn_unless_converged(post: Posterior) -> None:
@@ -93,8 +185,9 @@ def warn_unless_converged(post: Posterior) -> None:
 
     :func:`summary` warns of its other scalars as well.
     """
-    values = pd.Series(_levels(post))
-    _warn(values.map(rhat), values.map(ess))
+    values = _levels(post)
+    r_hat, effective = (np.array([statistic(x) for x in values.values()]) for statistic in (rhat, ess))
+    _warn(tuple(values), r_hat, effective)
 
 
 def _levels(post: Posterior) -> dict[str, np.ndarray]:
@@ -105,16 +198,18 @@ def _levels(post: Posterior) -> dict[str, np.ndarray]:
     return values
 
 
-def _warn(r_hat: pd.Series, effective: pd.Series) -> None:
+def _warn(names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> None:
     complaints = []
-    if (r_hat > _LARGEST_RHAT).any():
+    if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
+        worst = int(np.nanargmax(r_hat))
         complaints.append(
-            f"R-hat of {r_hat.idxmax()} is {r_hat.max():.3f} > {_LARGEST_RHAT}: the chains tell different stories; "
+            f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains tell different stories; "
             "lengthen warmup, or try method='tempered' if it stays"
         )
     if (effective < _LEAST_ESS).any():
+        worst = int(np.nanargmin(effective))
         complaints.append(
-            f"only {effective.min():.0f} effective draws of {effective.idxmin()} (want {_LEAST_ESS}): raise n_draws or "
+            f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): raise n_draws or "
             "thin, or use 'heat-bath' where the energy is Euclidean"
         )
     if complaints:
@@ -133,3 +228,19 @@ def _checked(values: np.ndarray) -> np.ndarray:
 
 def _varies(values: np.ndarray) -> bool:
     return values.shape[1] >= 4 and np.ptp(values) > 0
+
+
+@contextmanager
+def short_run() -> Iterator[None]:
+    """Silence :class:`ConvergenceWarning` around one run that is short on purpose.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
+    >>> with fmsync.diagnostics.short_run():
+    ...     post = fmsync.sample(p, n_chains=1, n_draws=10, warmup=0)
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        yield

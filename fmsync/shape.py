@@ -7,13 +7,13 @@ intrinsic-Delaunay "tufted" Laplacian of Sharp & Crane (2020).
 from dataclasses import dataclass
 
 import numpy as np
-import robust_laplacian
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fmsync._lanczos import largest_eigenpairs
 from fmsync._threads import single_threaded_blas
+from fmsync.extras import require
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +166,8 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     ------
     ValueError
         Whatever :class:`Shape` refuses, an ``n_basis`` out of range, or a surface in several components.
+    ImportError
+        A point cloud or a mesh that takes the intrinsic-Delaunay Laplacian, without the extra ``shapes``.
 
     Examples
     --------
@@ -214,11 +216,12 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.csr_array, np.ndarray]:
     """Stiffness (V, V), positive semi-definite, and lumped mass (V,)."""
+    if faces is not None and _is_clean(vertices, faces):
+        return _cotangent_laplacian(vertices, faces)
+    robust_laplacian = require("robust_laplacian", "shapes")
     if faces is None:
         n_neighbours = min(30, len(vertices) - 1)
         stiffness, mass = robust_laplacian.point_cloud_laplacian(vertices, n_neighbors=n_neighbours)
-    elif _is_clean(vertices, faces):
-        return _cotangent_laplacian(vertices, faces)
     else:
         stiffness, mass = robust_laplacian.mesh_laplacian(vertices, faces)
     return sparse.csr_array(stiffness), mass.diagonal()

@@ -55,8 +55,8 @@ def test_summary_does_not_depend_on_the_gauge():
     assert len(table) == 21  # the energy and two numbers for ten of 15 pairs
     assert len(diagnostics.summary(post, [[0, 1]])) == 3
     relative = post.relative([[0, 1]])[:, :, 0]
-    assert table.loc["tr C[0,1]", "mean"] == pytest.approx(np.trace(relative.mean((0, 1))))
-    assert table.loc["C[0,1][0,0]", "sd"] == pytest.approx(relative[..., 0, 0].std())
+    assert table["tr C[0,1]"]["mean"] == pytest.approx(np.trace(relative.mean((0, 1))))
+    assert table["C[0,1][0,0]"]["sd"] == pytest.approx(relative[..., 0, 0].std())
 
 
 def test_chains_that_disagree_are_warned_of_with_advice():
@@ -81,4 +81,24 @@ def test_summaries_warn_of_what_the_energy_does_not_show():
 def test_good_chains_are_not_warned_of():
     p = data_gen.perturb(data_gen.planted(6, 3, rng=0), 0.1, 1)
     post = fmsync.sample(p, "heat-bath", n_draws=1000, init="dispersed", warmup=300)
-    assert "log kappa" in post.summary().index
+    assert "log kappa" in post.summary()
+
+
+def test_a_summary_reads_as_a_table():
+    names, two = ("energy", "tr C[<0>,1]"), np.array([1.0, 2.0])
+    table = diagnostics.Summary(names, 100 * two, 0.03 * two, 1 + 0.001 * two, two * 400.4, np.array([np.nan, 7]))
+    lines = str(table).splitlines()
+    assert [len(line) for line in lines] == [len(lines[0])] * 3
+    assert lines[0].split() == ["mean", "sd", "r_hat", "ess_bulk", "ess_tail"]
+    assert lines[1].split() == ["energy", "100.000", "0.030", "1.001", "400", "nan"]
+    assert repr(table) == str(table)
+    page = table._repr_html_()
+    assert page.count("<tr>") == 3
+    assert "<th>tr C[&lt;0&gt;,1]</th><td>200.000</td><td>0.060</td>" in page
+    assert table[names[1]] == {"mean": 200, "sd": 0.06, "r_hat": 1.002, "ess_bulk": 800.8, "ess_tail": 7}
+    assert "energy" in table
+    assert "log kappa" not in table
+    assert table.head(1).names == ("energy",)
+    assert len(table.head(9)) == 2
+    with pytest.raises(KeyError, match="entropy: no scalar has this name; there are energy, tr"):
+        table["entropy"]

@@ -121,7 +121,7 @@ def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Ans
 
 def _answer(post: samplers.Posterior, seconds: float) -> Answer:
     def numbers() -> dict[str, float]:
-        ess = post.summary()["ess_bulk"].min()
+        ess = np.fmin.reduce(post.summary().ess_bulk)  # NaN only if nothing varies
         return {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
 
     draws = np.swapaxes(post.absolute, 0, 1).reshape(-1, *post.absolute.shape[2:])  # chains take turns

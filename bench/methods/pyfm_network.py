@@ -9,6 +9,7 @@ import scipy.sparse
 
 from bench.methods import Answer, method
 from fmsync import so
+from fmsync.extras import require
 
 _EIGENVALUE_SHIFT = 1e-6
 
@@ -50,12 +51,9 @@ def cycle_error_of(problem, *, fixed: bool) -> float:
 
 
 def _network(problem, fixed: bool):
-    try:
-        from pyFM.FMN import FMN
-    except ImportError as error:
-        raise ImportError("pyfm-network needs pyFM: pip install 'fmsync[peers]'") from error
+    network_class = require("pyFM.FMN", "bench").FMN
 
-    class RightOrder(FMN):
+    class RightOrder(network_class):
         def get_cycle_weight(self, cycle, M=None):
             i, j, k = cycle
             c_ij, c_jk, c_ki = (self.maps[edge][:M, :M] for edge in ((i, j), (j, k), (k, i)))
@@ -67,7 +65,7 @@ def _network(problem, fixed: bool):
         for pair, observation in (((j, i), c), ((i, j), c.T)):
             maps[pair] = maps.get(pair, 0.0) + observation
             counts[pair] = counts.get(pair, 0) + 1
-    network = (RightOrder if fixed else FMN)([None] * problem.n_nodes)
+    network = (RightOrder if fixed else network_class)([None] * problem.n_nodes)
     return network.set_maps({pair: total / counts[pair] for pair, total in maps.items()})
 
 

@@ -1,7 +1,11 @@
-"""From mesh files to correspondences with a confidence on every vertex."""
+"""From mesh files to correspondences with a confidence on every vertex; needs the extra ``shapes``."""
 
-from fmsync.pipeline.confidence import Confidence
-from fmsync.pipeline.recalibration import Recalibration, fit_recalibration
-from fmsync.pipeline.synchronise import SyncedShapes, synchronize_shapes
+from fmsync.extras import require_all
+
+require_all("shapes", "joblib", "pandas", "potpourri3d", "pyvista", "robust_laplacian")
+
+from fmsync.pipeline.confidence import Confidence  # noqa: E402
+from fmsync.pipeline.recalibration import Recalibration, fit_recalibration  # noqa: E402
+from fmsync.pipeline.synchronise import SyncedShapes, synchronize_shapes  # noqa: E402
 
 __all__ = ["Confidence", "Recalibration", "SyncedShapes", "fit_recalibration", "synchronize_shapes"]

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from fmsync.extras import require
 from fmsync.pipeline.confidence import Confidence, spread_out
 from fmsync.pipeline.doubts import doubts
 from fmsync.pipeline.recalibration import Recalibration, shipped
@@ -112,8 +113,7 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
 
 
 def _write_mesh(shape, table, stem) -> None:
-    import pyvista as pv
-
+    pv = require("pyvista", "shapes")
     if shape.faces is None:
         mesh = pv.PolyData(shape.vertices)
     else:

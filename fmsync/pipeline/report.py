@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from fmsync import viz
 from fmsync._threads import single_threaded_blas
+from fmsync.colours import colours_from_coordinates
+from fmsync.extras import require
 from fmsync.functional_map import _nearest
 from fmsync.pipeline.confidence import Confidence
 from fmsync.pipeline.doubts import doubts
@@ -97,7 +98,7 @@ def _data(synced, known, radii, edges, top) -> dict:
     for s, (vertices, faces) in zip(synced.shapes, drawn):
         points = s.shape.vertices[vertices] - s.shape.vertices.mean(axis=0)
         points = points / np.linalg.norm(points, axis=1).max()
-        colours = viz.colours_from_coordinates(s.shape.vertices[vertices])
+        colours = colours_from_coordinates(s.shape.vertices[vertices])
         shapes.append(
             {
                 "name": s.shape.name,
@@ -129,8 +130,7 @@ def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:
         return np.linspace(0, shape.n_vertices - 1, min(_DRAWN, shape.n_vertices)).astype(int), np.empty((0, 3), int)
     if shape.n_vertices <= _DRAWN:
         return np.arange(shape.n_vertices), shape.faces
-    import pyvista as pv
-
+    pv = require("pyvista", "shapes")
     mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces).decimate(1 - _DRAWN / shape.n_vertices)
     return cKDTree(shape.vertices).query(np.asarray(mesh.points, dtype=float))[1], mesh.regular_faces
 

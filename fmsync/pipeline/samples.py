@@ -8,6 +8,7 @@ import robust_laplacian
 from scipy.spatial import cKDTree
 
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
+from fmsync.extras import require
 from fmsync.shape import Basis, Shape, laplace_beltrami
 
 _COARSE = 3000  # vertices of the mesh on which geodesic distances are computed
@@ -192,8 +193,7 @@ def _area(shape: Shape) -> float:
 def _coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray | None]:
     if shape.faces is None:
         return shape.vertices[farthest_points(shape.vertices, _COARSE)], None
-    import pyvista as pv
-
+    pv = require("pyvista", "shapes")
     mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
     mesh = mesh.decimate(1 - _COARSE / shape.n_vertices)
     return np.asarray(mesh.points, dtype=float), mesh.regular_faces.astype(np.int64)

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from fmsync import so
 from fmsync.problem import SyncProblem, relative_maps
+
+if TYPE_CHECKING:
+    from fmsync.diagnostics import Summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,7 @@ class Posterior:
         squared = self.problem.n - (self.relative_mean(edges, projected=False) ** 2).sum((1, 2))
         return np.sqrt(np.maximum(squared, 0))
 
-    def summary(self) -> pd.DataFrame:
+    def summary(self) -> "Summary":
         """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
         from fmsync.diagnostics import summary
 

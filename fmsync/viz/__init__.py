@@ -1,8 +1,16 @@
-"""Figures of the book: turnable scenes of shapes, heat maps, one style. Nothing here computes a result."""
+"""Figures of the book: turnable scenes of shapes, heat maps, one style; needs the extra ``viz``.
 
-from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style
-from fmsync.viz.loops import Loop, loop, walk_on_sphere
-from fmsync.viz.scenes import Scene, colours_from_coordinates, scene
+Nothing here computes a result.
+"""
+
+from fmsync.extras import require_all
+
+require_all("viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
+
+from fmsync.colours import colours_from_coordinates  # noqa: E402
+from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
+from fmsync.viz.loops import Loop, loop, walk_on_sphere  # noqa: E402
+from fmsync.viz.scenes import Scene, scene  # noqa: E402
 
 __all__ = [
     "PALETTE",

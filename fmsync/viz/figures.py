@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+from PIL import Image
 
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -85,8 +86,6 @@ class Picture:
 
 def image_tag(png: bytes, alt: str, width: int) -> str:
     """HTML image of PNG bytes, held in the page itself as lossless WebP (a third smaller)."""
-    from PIL import Image
-
     with Image.open(io.BytesIO(png)) as image:
         buffer = io.BytesIO()
         image.save(buffer, "WEBP", lossless=True, method=4)

@@ -20,6 +20,7 @@ from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from fmsync.extras import require
 from fmsync.viz.figures import PALETTE, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
@@ -87,10 +88,8 @@ class Scene:
         if self.data is not None and os.environ.get("FMSYNC_SHARED_VIEWER"):
             moving = f'<script type="text/plain">{base64.b64encode(self.data).decode()}</script>'
         elif self.data is not None:
-            from trame_vtk.tools.vtksz2html import write_html
-
             page = io.StringIO()
-            write_html(self.data, page)
+            require("trame_vtk.tools.vtksz2html", "viz").write_html(self.data, page)
             moving = (
                 f'<iframe title="{html.escape(self.alt)}" loading="lazy" srcdoc="{html.escape(page.getvalue())}" '
                 'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe>'
@@ -190,20 +189,6 @@ def scene(
     return Scene(png, data, alt, rows, columns, tuple(titles), colour_bar)
 
 
-def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
-    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map.
-
-    Examples
-    --------
-    >>> colours_from_coordinates([[0, 0, 0], [2, 4, 8]])
-    array([[0.1, 0.1, 0.1],
-           [1. , 1. , 1. ]])
-    """
-    vertices = np.asarray(vertices, dtype=float)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return 0.1 + 0.9 * (vertices - low) / np.where(high > low, high - low, 1)
-
-
 @functools.cache
 def can_render() -> bool:
     """Whether VTK finds OpenGL here; tried once, in another process, because VTK aborts without it."""
@@ -248,8 +233,7 @@ def _panel(mesh, colours, marks, up, limit):
     if len(given) <= limit:
         return given, faces, colours, given[marks]
     _choose_egl()
-    import pyvista as pv
-
+    pv = require("pyvista", "viz")
     shown = pv.PolyData.from_regular_faces(given, faces).decimate(1 - limit / len(given))
     vertices = np.asarray(shown.points, dtype=np.float32)
     _, nearest = cKDTree(given).query(vertices)
@@ -257,8 +241,7 @@ def _panel(mesh, colours, marks, up, limit):
 
 
 def _draw_vtk(panels, rows, columns, size, distance, flat):
-    import pyvista as pv
-
+    pv = require("pyvista", "viz")
     plotter = pv.Plotter(shape=(rows, columns), window_size=size, off_screen=True, border=False)
     plotter.set_background("white", all_renderers=True)
     light = {"lighting": False} if flat else {"ambient": 0.25, "diffuse": 0.85, "smooth_shading": True}
@@ -283,8 +266,7 @@ def _draw_vtk(panels, rows, columns, size, distance, flat):
 
 def _export(window) -> bytes:
     """Zipped vtk.js scene of a render window, without the web server (and its downloads) PyVista starts for it."""
-    from trame_vtk.modules.vtk import serializers
-
+    serializers = require("trame_vtk.modules.vtk.serializers", "viz")
     serializers.initialize_serializers()
     context = serializers.SynchronizationContext()
     context.set_ignore_last_dependencies(True)
