@@ -1,32 +1,78 @@
-"""Arrays that are dear to make, kept in the user's cache folder and never trusted without their checksum."""
+"""Arrays that are expensive to make, kept in the user's cache folder and never trusted without their checksum."""
 
 import contextlib
 import hashlib
 import os
+import platform
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-from platformdirs import user_cache_path
+import scipy
+import scipy.linalg  # loads the BLAS of SciPy, which arithmetic() asks for its name
+from threadpoolctl import threadpool_info
 
 Arrays = Mapping[str, np.ndarray]
 
 
 def cached(key: str, build: Callable[[], Arrays]) -> Arrays:
-    """The arrays that ``build`` makes, from the cache when they were made before.
+    """The arrays that ``build`` makes, from the cache when they were made before in the same :func:`arithmetic`.
 
     A file that is damaged, truncated or does not match its checksum is built again; a folder that cannot be written
-    to costs the time of building, nothing else. The folder is ``fmsync`` in the platform's cache folder
-    (``XDG_CACHE_HOME`` on Linux).
+    to costs the time of building, nothing else. The file is ``fmsync/<arithmetic>/<key>.npz`` in the folder that the
+    environment variable ``XDG_CACHE_HOME`` names, by default ``~/.cache``.
     """
-    path = user_cache_path("fmsync", appauthor=False) / f"{key}.npz"
+    path = _folder() / arithmetic() / f"{key}.npz"
     arrays = _read(path)
     if arrays is None:
         arrays = build()
         _write(path, arrays)
     return arrays
+
+
+@cache
+def arithmetic() -> str:
+    """Name of what the last bits of a floating-point result depend on, besides the program and its input.
+
+    Processors add the terms of a sum in different orders, and fuse multiplications and additions or do not. Which of
+    these happens depends on the kernels that OpenBLAS chose (for NumPy and for SciPy), on the processor features that
+    NumPy uses (all that it finds, without those in ``NPY_DISABLE_CPU_FEATURES``), on ``NUMBA_CPU_NAME`` and
+    ``NUMBA_CPU_FEATURES``, on the versions of NumPy and SciPy, and on the machine's architecture and C library.
+    Results with the same name are expected to agree bit by bit.
+
+    The environment variables that change it (``OPENBLAS_CORETYPE`` as well) must be set before Python starts.
+
+    Returns
+    -------
+    str
+        The BLAS kernel of NumPy or SciPy, for the reader, and a hash of everything: such as ``"Haswell-3f2a91c04b7e"``.
+
+    Examples
+    --------
+    >>> from data_gen.cache import arithmetic
+    >>> arithmetic() == arithmetic()
+    True
+    """
+    libraries = [library for library in threadpool_info() if library["user_api"] == "blas"]
+    blas = sorted({f"{b['internal_api']} {b['version']} {b.get('architecture', 'unknown')}" for b in libraries})
+    everything = {
+        "blas": blas,
+        "features": sorted(np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])),
+        "numba": [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")],
+        "versions": [np.__version__, scipy.__version__],
+        "machine": [platform.machine(), *platform.libc_ver()],
+    }
+    kernels = sorted({b.rpartition(" ")[2] for b in blas}) or ["unknown"]
+    return f"{'-'.join(kernels)}-{hashlib.sha256(repr(everything).encode()).hexdigest()[:12]}"
+
+
+def _folder() -> Path:
+    """By the XDG base directory specification, a name that is not absolute is ignored."""
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "fmsync"
 
 
 def checksum(arrays: Arrays) -> str:

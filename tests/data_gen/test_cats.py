@@ -9,7 +9,7 @@ import pyvista as pv
 from scipy.sparse import coo_array
 
 import fmsync
-from data_gen import cache, cat_mesh
+from data_gen import cat_mesh
 from data_gen.cat_body import BLEND, bones, cones, skin
 from data_gen.cat_pose import POSES, Rig, joint_transforms, muscle_tone
 from data_gen.cats import cats, left_right_flip
@@ -189,7 +189,6 @@ def test_symmetry_is_broken_slightly_by_default():
 
 def test_same_arguments_same_bits_without_the_cache(monkeypatch, tmp_path, small):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(cache, "user_cache_path", lambda *_, **__: tmp_path)
     again = cats(count=2, n_vertices=1000)  # and cat k does not depend on how many are asked for
     for first, second in zip(small, again):
         np.testing.assert_array_equal(first.vertices, second.vertices)

@@ -1,6 +1,9 @@
 """Collections from folders, lists and FMSYNC_DATA; fingerprints; correspondence files; the cache."""
 
 import os
+import platform
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ from data_gen.isometry import edge_distortion
 from fmsync.shape import Shape
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+_OF_THE_ARITHMETIC = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 OFF = "OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
 
@@ -28,8 +32,8 @@ def folder(tmp_path):
 
 @pytest.fixture
 def cache_folder(monkeypatch, tmp_path):
-    monkeypatch.setattr(cache, "user_cache_path", lambda *_, **__: tmp_path / "cache")
-    return tmp_path / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "fmsync" / cache.arithmetic()
 
 
 def test_a_folder_is_read_in_natural_order(folder):
@@ -152,8 +156,48 @@ def test_the_cache_is_used_when_sound_and_rebuilt_when_not(cache_folder):
 
 def test_a_cache_that_cannot_be_written_is_no_error(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("in the way of the folder")
-    monkeypatch.setattr(cache, "user_cache_path", lambda *_, **__: tmp_path / "file" / "cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "cache"))
     np.testing.assert_array_equal(cache.cached("key", lambda: {"x": np.ones(2)})["x"], np.ones(2))
+
+
+def test_the_cache_folder_is_absolute_or_that_of_the_home(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for named in ("", "relative/folder"):
+        monkeypatch.setenv("XDG_CACHE_HOME", named)
+        cache.cached(f"key-{len(named)}", lambda: {"x": np.ones(2)})
+        assert (tmp_path / ".cache" / "fmsync" / cache.arithmetic() / f"key-{len(named)}.npz").is_file()
+
+
+_ANOTHER_PROCESS = """
+import numpy as np
+from data_gen import cache
+made = cache.cached("key", lambda: print("built") or {"x": np.ones(2)})
+print(cache.arithmetic())
+"""
+
+
+def test_another_arithmetic_has_another_name_and_reads_no_file_of_ours(tmp_path):
+    """Bits of generated shapes differ between processors, so a file that one of them wrote is not for the other."""
+    inherited = {name: value for name, value in os.environ.items() if name not in _OF_THE_ARITHMETIC}
+    inherited["XDG_CACHE_HOME"] = str(tmp_path)
+    other = {"OPENBLAS_CORETYPE": "Nehalem", "NUMBA_CPU_NAME": "generic"}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", _ANOTHER_PROCESS],
+            env=inherited | changed,
+            cwd=Path(__file__).parents[2],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for changed in ({}, other, {})
+    ]
+    names = [words[-1] for words in said]
+    assert [words[:-1] for words in said] == [["built"], ["built"], []]
+    assert names[0] == names[2] != names[1]
+    if platform.machine() == "x86_64":
+        assert names[1].startswith("Nehalem-")
+    assert sorted(file.parent.name for file in tmp_path.rglob("*.npz")) == sorted(set(names))
 
 
 def test_commands(folder, capsys):
