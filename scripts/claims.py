@@ -1,8 +1,8 @@
 """IPython extension that records every claim of a page, with its margin, instead of stopping at the first that fails.
 
-``assert a < b`` becomes a record of the text, whether it holds, the two values and their distance; so do the members of
-``and``, and comparisons of arrays under ``all()``. Convergence warnings are recorded too. The records are lines of JSON in
-the file that the environment variable ``FMSYNC_CLAIMS`` names.
+``assert a < b`` becomes a record of the text, whether it holds, the two values and their distance; so do the members
+of ``and``, and comparisons of arrays under ``all()``. Convergence warnings are recorded too. The records are lines of
+JSON in the file that the environment variable ``FMSYNC_CLAIMS`` names.
 """
 
 import ast

@@ -1,15 +1,14 @@
 """Run every chapter in eight worlds, and say which of its claims do not hold in all of them.
 
-A world is the arithmetic of a processor and a constant that is added to every seed. The arithmetic of another processor
-is obtained by taking the instructions away that this one has and an old one had not. Finished runs are kept in
-``_build/worlds`` until the page, the library or a result changes, so that a run which was stopped goes on where it was.
-The table goes to ``results/worlds.json``, which the status page shows. Exit status 1 when a claim fails, 2 for bad input.
+A world is the arithmetic of a processor and a constant that is added to every seed. Finished runs are kept in
+``_build/worlds`` until the page, the library or a result changes, so that a run which was stopped goes on where it
+was. The table goes to ``results/worlds.json``, which the status page shows. Exit status 1 when a claim fails, 2 for
+bad input.
 """
 
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -23,20 +22,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(ROOT / "scripts")]
 from fmsync_status import pages, surroundings  # noqa: E402
+from other_arithmetic import other_arithmetic  # noqa: E402
 
 TABLE = ROOT / "results" / "worlds.json"
 _N_SHIFTS = 4
 _LONGEST = 900  # seconds that a cell may take
-
-
-def other_arithmetic() -> dict[str, str]:
-    """Environment variables under which NumPy, SciPy and Numba compute as on an old processor of this architecture."""
-    from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
-
-    kernel = "Nehalem" if platform.machine() in ("x86_64", "AMD64") else "ARMV8"
-    used = [feature for feature in __cpu_dispatch__ if __cpu_features__[feature]]
-    found = {"OPENBLAS_CORETYPE": kernel, "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    return found | ({"NPY_DISABLE_CPU_FEATURES": " ".join(used)} if used else {})
 
 
 def shifts(seed: int) -> list[int]:
@@ -149,11 +139,12 @@ def main() -> int:
     table = {}
     for k, chapter in enumerate(chosen):
         own = records[k * len(worlds) : (k + 1) * len(worlds)]
-        table[chapter] = [{"world": name(r), "failures": failures(r), "cpu_seconds": r["cpu_seconds"]} for r in own]
         margins = closest(own)
+        near, claim = margins[0] if margins else (None, None)
+        table[chapter] = {"failures": [failures(r) for r in own], "closest": claim, "margin": near and round(near, 1)}
         held = sum(not failures(r) for r in own)
-        near = f"; closest claim {margins[0][0]:.1f} standard deviations: {margins[0][1]}" if margins else ""
-        print(f"{chapter}: {held} of {len(own)}{near}")
+        told = f"; closest claim {near:.1f} standard deviations: {claim}" if margins else ""
+        print(f"{chapter}: {held} of {len(own)}{told}")
         for far, claim in margins[1:]:
             if far < 4:
                 print(f"    also close, {far:.1f}: {claim}")

@@ -1,5 +1,6 @@
-"""Sphinx extension of this book: the table of the status page, read from the execution cache."""
+"""Sphinx extension of this book: the tables of the status page, from the cache and from results/worlds.json."""
 
+import json
 import os
 import platform
 import re
@@ -44,6 +45,38 @@ class Status(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+class Worlds(SphinxDirective):
+    """Chapters by worlds: whether every claim held, or which one failed."""
+
+    def run(self) -> list[Node]:
+        file = ROOT / "results" / "worlds.json"
+        self.env.note_dependency(str(file))
+        return self.parse_text_to_nodes("\n".join(worlds_table(json.loads(file.read_text(encoding="utf-8")))))
+
+
+def worlds_table(told: dict) -> list[str]:
+    """Lines of Markdown from the table that ``scripts/worlds.py`` writes.
+
+    >>> lines = worlds_table({"worlds": ["native +7"], "machine": "m", "shapes": "s", "command": "c", "chapters":
+    ...     {"05_oracle": {"closest": "a < b", "margin": 5.2, "failures": [["a < b: 3 and 2"]]}}})
+    >>> print(lines[2])
+    | {doc}`/chapters/05_oracle` | `a < b: 3 and 2` | 5.2: `a < b` |
+    """
+    worlds = told["worlds"]
+    lines = ["| chapter | " + " | ".join(worlds) + " | closest claim |", "| --- |" + " --- |" * (len(worlds) + 1)]
+    for chapter, row in told["chapters"].items():
+        cells = [_code("; ".join(failed)) if failed else "held" for failed in row["failures"]]
+        near = f"{row['margin']:.1f}: {_code(row['closest'])}" if row["closest"] else "–"
+        lines.append(f"| {{doc}}`/chapters/{chapter}` | {' | '.join(cells)} | {near} |")
+    made = f"Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."
+    return [*lines, "", made]
+
+
+def _code(text: str) -> str:
+    """Text in a cell of a table, as it stands in the code."""
+    return "`" + text.replace("`", "'").replace("|", "\\|") + "`"
+
+
 def records() -> dict[Path, dict]:
     """What the execution cache knows of each page; pages that it does not hold are left out."""
     from fmsync_book import cache_folder
@@ -78,4 +111,5 @@ def status_table(found: dict[Path, dict], links: list[tuple[Path, str]]) -> list
 
 def setup(app):
     app.add_directive("fm-status", Status)
+    app.add_directive("fm-worlds", Worlds)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
