@@ -49,7 +49,8 @@ _ROOMS = {
     "viz",
 }
 
-__all__ = sorted([*_HOME, "functional_map"])
+# "from fmsync import *" must work without the extra that synchronize_shapes needs
+__all__ = sorted({*_HOME, "functional_map"} - {"synchronize_shapes"})
 
 
 def __getattr__(name: str):

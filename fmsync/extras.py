@@ -35,30 +35,40 @@ def require(module: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise _missing(error.name or module, extra) from None
+        missing = error.name or module
+        raise _missing(f"importing {missing}", missing, extra) from None
 
 
-def require_all(extra: str, *modules: str) -> None:
+def require_all(user: str, extra: str, *modules: str) -> None:
     """Refuse to go on unless every one of some top-level modules can be found; none of them is imported.
 
     A package that is of no use without an extra calls this before its other imports, so that a missing module is
     reported at once and not after long work.
 
+    Parameters
+    ----------
+    user
+        What needs the modules, for the message.
+    extra
+        Extra of this project that installs them.
+    *modules
+        Their names, without dots.
+
     Raises
     ------
     MissingExtra
-        Names the first module that is not installed, and the extra.
+        One of them is not installed. It is an ``ImportError`` and names the extra.
 
     Examples
     --------
-    >>> require_all("shapes", "json", "no_such_package")
+    >>> require_all("fmsync.viz", "viz", "json", "no_such_package")
     Traceback (most recent call last):
-    fmsync.extras.MissingExtra: importing no_such_package needs the extra "shapes": pip install "fmsync[shapes]"
+    fmsync.extras.MissingExtra: fmsync.viz needs the extra "viz": pip install "fmsync[viz]"
     """
     for module in modules:
         if importlib.util.find_spec(module) is None:
-            raise _missing(module, extra)
+            raise _missing(user, module, extra)
 
 
-def _missing(module: str, extra: str) -> MissingExtra:
-    return MissingExtra(f'importing {module} needs the extra "{extra}": pip install "fmsync[{extra}]"', name=module)
+def _missing(user: str, module: str, extra: str) -> MissingExtra:
+    return MissingExtra(f'{user} needs the extra "{extra}": pip install "fmsync[{extra}]"', name=module)

@@ -2,7 +2,7 @@
 
 from fmsync.extras import require_all
 
-require_all("shapes", "joblib", "pandas", "potpourri3d", "pyvista", "robust_laplacian")
+require_all(__name__, "shapes", "joblib", "pandas", "potpourri3d", "pyvista", "robust_laplacian")
 
 from fmsync.pipeline.confidence import Confidence  # noqa: E402
 from fmsync.pipeline.recalibration import Recalibration, fit_recalibration  # noqa: E402

@@ -5,7 +5,7 @@ Nothing here computes a result.
 
 from fmsync.extras import require_all
 
-require_all("viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
+require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 
 from fmsync.colours import colours_from_coordinates  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
