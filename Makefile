@@ -3,6 +3,8 @@ PY ?= python3
 V  := .venv
 export PATH := $(CURDIR)/$(V)/bin:$(PATH)
 export PYVISTA_OFF_SCREEN := true
+# a hundred processes import the same packages: let the first one keep what it compiled
+unexport PYTHONDONTWRITEBYTECODE
 # the products here are small: BLAS threads only get in each other's way
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -57,6 +59,6 @@ setup: $(V)/.ok
 $(V)/.ok: requirements.txt pyproject.toml
 	$(PY) -m venv $(V)
 	$(V)/bin/python -m pip install -q --disable-pip-version-check uv
-	$(V)/bin/uv pip sync -q --compile-bytecode --python $(V)/bin/python requirements.txt
+	$(V)/bin/uv pip sync -q --python $(V)/bin/python requirements.txt
 	$(V)/bin/uv pip install -q --python $(V)/bin/python --no-deps -e .
 	@touch $@
