@@ -13,7 +13,7 @@ export MKL_NUM_THREADS ?= 1
 export FMSYNC_DATA
 JOBS ?= 2
 HTML := _build/html/index.html
-.PHONY: setup book book.zip test worlds lint unit notebook-test browser notebooks lab clean
+.PHONY: setup book book.zip test worlds lint unit core notebook-test browser notebooks lab clean
 
 book: setup
 	python scripts/sync_notebooks.py --check
@@ -33,6 +33,17 @@ lint: setup
 unit: setup
 	pytest -q -n $(JOBS) -m "not browser and not slow"
 
+# the library without extras, in an environment of its own, with the oldest or newest releases that its bounds admit:
+# make core PINS=lowest
+PINS ?= highest
+core:
+	$(PY) -m venv --clear $(V)-core
+	$(V)-core/bin/python -m pip install -q --disable-pip-version-check uv
+	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python --resolution $(if $(filter lowest,$(PINS)),lowest-direct,highest) .
+	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python pytest hypothesis mpmath
+	$(V)-core/bin/python -m pytest -q -m "not browser and not slow" README.md tests/test_so.py tests/test_langevin.py \
+	  tests/test_bounds.py tests/test_certificate.py tests/test_diagnostics.py tests/estimators/test_map.py tests/samplers/test_sample.py
+
 # in the arithmetic of another processor than make book, so that one machine tests two
 notebook-test: setup
 	python scripts/other_arithmetic.py pytest -q -n $(JOBS) -o addopts= --nbmake --nbmake-timeout=600 book/notebooks
@@ -50,7 +61,7 @@ notebooks: setup
 	python scripts/sync_notebooks.py
 
 lab: setup notebooks
-	jupyter lab book/notebooks
+	jupyter lab $(if $(filter 0,$(shell id -u)),--allow-root) book/notebooks
 
 clean:
 	rm -rf _build

@@ -21,7 +21,7 @@ import sys
 if "google.colab" in sys.modules:
     !git clone -q --depth 1 --branch {branch} {url} /content/project
     %cd -q /content/project/book/notebooks
-    %pip install -q -e /content/project
+    %pip install -q -e "/content/project[bench]"
     sys.path.insert(0, "/content/project")"""
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
