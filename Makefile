@@ -53,7 +53,7 @@ browser: setup
 	test -f $(HTML) || $(MAKE) book
 	pytest -q -rs -n $(JOBS) -m browser tests/test_book_browser.py tests/pipeline/test_report_browser.py
 
-# every chapter in eight worlds, two arithmetics by four shifts of all seeds: make worlds CHAPTERS="05_oracle 04_rlfm" SEED=1
+# every chapter in eight worlds, the arithmetic of two processors by four shifts of all seeds: make worlds CHAPTERS="05_oracle 04_rlfm" SEED=1
 worlds: setup
 	python scripts/worlds.py $(CHAPTERS) --seed $(or $(SEED),0) --jobs $(JOBS)
 
