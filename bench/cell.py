@@ -26,8 +26,8 @@ from bench import methods
 from bench.measure import measure, method_rng
 from bench.planted import Planted
 from bench.suites import Cell, generator_function
-from fmsync._threads import single_threaded_blas
 from fmsync.problem import SyncProblem
+from fmsync.threads import single_threaded_blas
 
 CONTENT = ("generator", "problem", "seed", "method", "options", "code", "data")  # what determines a record
 _SPENT = ("seconds", "cpu_seconds", "peak_memory")

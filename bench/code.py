@@ -17,7 +17,8 @@ from functools import cache
 from pathlib import Path
 
 from bench import methods
-from fmsync import estimators, samplers
+from fmsync.estimators.base import ESTIMATORS
+from fmsync.samplers.base import SAMPLERS
 
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 _LAZY = "fmsync"  # the root package imports its rooms when asked: following it would find everything
@@ -98,7 +99,7 @@ def _is_package(name: str) -> bool:
 
 
 def _method(name: str) -> set[str]:
-    entry = estimators._REGISTRY.get(name) or samplers._REGISTRY.get(name)
+    entry = ESTIMATORS.get(name) or SAMPLERS.get(name)
     return set() if entry is None else {entry.__module__}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from bench import metrics
 from bench.planted import Planted
 from fmsync import oracle
-from fmsync.functional_map import point_map
+from fmsync.functional_maps import point_map
 from fmsync.problem import cycle_error
 
 _MOST_DRAWS = 1000

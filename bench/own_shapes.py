@@ -11,7 +11,7 @@ The order is used to judge, never to map. A part of the measurements is one comm
     time of a vertex's images, price of computing on samples
 ``... planted cats``
     regions where the model is right; flags of two modes where flips were planted
-``... refit cats uneven_cats --out fmsync/pipeline/recalibration.json``
+``... refit cats uneven_cats --out fmsync/matching/recalibration.json``
     the recalibration that the package ships
 
 A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
@@ -30,14 +30,14 @@ import potpourri3d as pp3d
 
 import fmsync
 from bench.suites import generator_function
-from fmsync._threads import single_threaded_blas
-from fmsync.functional_map import _nearest
-from fmsync.pipeline import SyncedShapes, synchronise
-from fmsync.pipeline.confidence import spread_out
-from fmsync.pipeline.latent import sizes, upsample
-from fmsync.pipeline.pairwise import FINE, improve, match, zoomout
-from fmsync.pipeline.samples import farthest_points
+from fmsync.functional_maps import nearest_rows
+from fmsync.matching import SyncedShapes, synchronize
+from fmsync.matching.confidence import spread_out
+from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.pairwise import FINE, improve, match, zoomout
+from fmsync.matching.samples import farthest_points
 from fmsync.shape import Shape
+from fmsync.threads import single_threaded_blas
 
 N_LANDMARKS = 4
 _SYNTHETIC = {"count": 11, "n_vertices": 4000}
@@ -67,7 +67,7 @@ class Judge:
         return self._missed(j, at_i, at_j)
 
     def _missed(self, j: int, at_i: np.ndarray, at_j: np.ndarray) -> np.ndarray:
-        return self.distances[j][np.arange(len(at_i)), _nearest(at_i, at_j)]
+        return self.distances[j][np.arange(len(at_i)), nearest_rows(at_i, at_j)]
 
     def mean(self, pairs, maps) -> float:
         """Mean error over pairs of the maps that ``maps(i, j)`` gives."""
@@ -117,7 +117,7 @@ def remeshed(shapes: list[Shape], places: np.ndarray, share: float = 0.2) -> tup
         mesh = mesh.decimate(1 - share * (0.9 + 0.2 * (k % 5) / 4))
         points = np.asarray(mesh.points, dtype=float)
         copies.append(Shape(points, mesh.regular_faces, shape.name))
-        moved.append(_nearest(shape.vertices[own] - points.mean(axis=0), points - points.mean(axis=0)))
+        moved.append(nearest_rows(shape.vertices[own] - points.mean(axis=0), points - points.mean(axis=0)))
     return copies, np.array(moved)
 
 
@@ -164,7 +164,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]
         return matches[found[i, j]].c_ij if (i, j) in found else matches[found[j, i]].c_ij.T
 
     def absolute_of(estimate, signs):
-        return estimate.absolute * synchronise.turns(signs, n)[:, None]
+        return estimate.absolute * synchronize.turns(signs, n)[:, None]
 
     def relative(absolute):
         return lambda i, j: absolute[i].T @ absolute[j]
@@ -173,19 +173,19 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]
         return lambda i, j: zoomout(shapes[i], shapes[j], maps(i, j)[None], m, 5)[0][0]
 
     began = clock()
-    estimate, signs, _, problem = synchronise._robust(len(shapes), edges, matches, n, rng)
+    estimate, signs, _, problem = synchronize.robust_maps(len(shapes), edges, matches, n, rng)
     robust = absolute_of(estimate, signs)
     seconds["robust synchronisation"] = clock() - began
     plain = absolute_of(fmsync.solve(problem, "mle", tolerance=1e-3), signs)
 
     began = clock()
     proposed = matches
-    for _ in range(synchronise._ROUNDS):
-        estimate, signs, _, _ = synchronise._robust(len(shapes), edges, proposed, n, rng)
+    for _ in range(synchronize.ROUNDS):
+        estimate, signs, _, _ = synchronize.robust_maps(len(shapes), edges, proposed, n, rng)
         better = relative(absolute_of(estimate, signs))
         tried = [improve(light[i], light[j], better(i, j)) for i, j in edges]
         proposed = [min(old, new, key=lambda x: x.cost) for old, new in zip(proposed, tried)]
-    estimate, signs, _, _ = synchronise._robust(len(shapes), edges, proposed, n, rng)
+    estimate, signs, _, _ = synchronize.robust_maps(len(shapes), edges, proposed, n, rng)
     start = absolute_of(estimate, signs)
     seconds["synchronised maps proposed to the pairs"] = clock() - began
     errors = {
@@ -224,7 +224,7 @@ def costs(shapes: list[Shape], places: np.ndarray) -> dict:
     solver = pp3d.MeshHeatMethodDistanceSolver(second.shape.vertices, second.shape.faces)
     began, exact = clock(), []
     with single_threaded_blas():
-        image = _nearest(synced.shared_functions(i, places[i]), synced.shared_functions(j))
+        image = nearest_rows(synced.shared_functions(i, places[i]), synced.shared_functions(j))
         for v, y in zip(places[i], image):
             exact.append(np.quantile(solver.compute_distance(int(y))[synced.vertex_images(i, j, int(v))], 0.9))
     exact = np.array(exact)

@@ -8,11 +8,11 @@ import fmsync
 from bench.own_shapes import Judge, accuracy, judged, some_pairs
 from bench.suites import generator_function
 from fmsync import so
-from fmsync.functional_map import _nearest
-from fmsync.pipeline import Confidence, Recalibration, SyncedShapes, fit_recalibration
-from fmsync.pipeline.confidence import two_modes
-from fmsync.pipeline.recalibration import shipped
-from fmsync.pipeline.synchronise import turns
+from fmsync.functional_maps import nearest_rows
+from fmsync.matching import Confidence, Recalibration, SyncedShapes, fit_recalibration
+from fmsync.matching.confidence import two_modes
+from fmsync.matching.recalibration import shipped
+from fmsync.matching.synchronize import turns
 from fmsync.problem import SyncProblem
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
@@ -69,7 +69,7 @@ def observe(shapes) -> dict:
 def quantiles(synced: SyncedShapes, i: int, j: int, image: np.ndarray) -> np.ndarray:
     """(levels, S_i) radii about ``image`` that hold each of ``LEVELS`` of the posterior draws."""
     n, a, b = synced.problem.n, synced.shapes[i], synced.shapes[j]
-    hits = [_nearest(a.sampled()[:, :n] @ c, b.sampled()[:, :n]) for c in synced.draws(i, j, 100)]
+    hits = [nearest_rows(a.sampled()[:, :n] @ c, b.sampled()[:, :n]) for c in synced.draws(i, j, 100)]
     return np.quantile(b.geodesics[np.array(hits), image], LEVELS, axis=0)
 
 
@@ -86,7 +86,7 @@ def _covered(o: dict, level: float, recalibration: Recalibration | None = None) 
 def alternatives(synced: SyncedShapes, places: np.ndarray, i: int, j: int) -> dict:
     """What is cheaper than a posterior: distance in the embedding, and the error of cycles through the pair."""
     at_i, at_j = synced.shared_functions(i, places[i]), synced.shared_functions(j)
-    distance = np.linalg.norm(at_i - at_j[_nearest(at_i, at_j)], axis=1)
+    distance = np.linalg.norm(at_i - at_j[nearest_rows(at_i, at_j)], axis=1)
     return {"embedding distance": distance, "cycle error": np.full(len(at_i), cycle_errors(synced)[i, j])}
 
 
@@ -185,7 +185,7 @@ def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int 
             for i, j in some_pairs(count, 6):
                 a, b = synced.shapes[i], synced.shapes[j]
                 true = (truth[i] * turn[i]).T @ (truth[j] * turn[j])
-                place = _nearest(a.sampled()[:, :n] @ true, b.sampled()[:, :n])
+                place = nearest_rows(a.sampled()[:, :n] @ true, b.sampled()[:, :n])
                 image = other.sample_images(i, j)
                 for q, radius in zip(LEVELS, quantiles(other, i, j, image)):
                     inside[q].append(b.geodesics[place, image] <= radius)

@@ -4,9 +4,9 @@ import time
 
 import numpy as np
 
-from fmsync._threads import single_threaded_blas
-from fmsync.pipeline import SyncedShapes
-from fmsync.pipeline.pairwise import FINE
+from fmsync.matching import SyncedShapes
+from fmsync.matching.pairwise import FINE
+from fmsync.threads import single_threaded_blas
 
 _STEP = 5
 

@@ -14,12 +14,12 @@ import pandas as pd
 import fmsync
 from bench.peers.geomstats_rlfm import GeomstatsRLFM
 from fmsync import SyncProblem, bounds, diagnostics, langevin, so
-from fmsync import problem as energies
-from fmsync._threads import single_threaded_blas
+from fmsync.energy import gradient
 from fmsync.problem import relative_maps
-from fmsync.samplers._crew import Crew
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.rlfm import RLFM, default_step
+from fmsync.samplers.thread_pool import Crew
+from fmsync.threads import single_threaded_blas
 
 _STEIN_TOLERANCE = 0.05
 
@@ -71,7 +71,7 @@ def one_and_two_threads(
     found = []
     for crew in (_StopwatchCrew(), _StopwatchCrew()):
         engine, best = HeatBath(problem, start, np.random.default_rng(0), kappa=kappa), np.inf
-        engine._crew, crew.size = crew, 1 + len(found)
+        engine.crew, crew.size = crew, 1 + len(found)
         engine.step(warming=False)  # compiles, starts the thread
         with single_threaded_blas():
             for _ in range(repeats):
@@ -129,7 +129,7 @@ def stein_ratio(problem: SyncProblem, kappa: float, step: float) -> float:
     squares, traces = [], []
 
     def record(draw, state, energy):
-        squares.append(((kappa / 2 * energies.gradient(problem, state)) ** 2).sum((1, 2, 3)).mean())
+        squares.append(((kappa / 2 * gradient(problem, state)) ** 2).sum((1, 2, 3)).mean())
         traces.append((problem.constant - energy).mean() / 2)
 
     chains = {"n_chains": 16, "n_draws": 60, "warmup": 400, "thin": 10, "store": None, "rng": 0, "init": "spectral"}

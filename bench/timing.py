@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmsync._threads import single_threaded_blas
+from fmsync.threads import single_threaded_blas
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Probabilistic synchronization of functional maps: point answers, posterior draws and their limits.
+"""Probabilistic synchronization of functional maps: estimators, posterior samplers and bounds.
 
 One way through: make or load a :class:`SyncProblem`, :func:`solve` or :func:`sample` it, compare the answer with the
 bounds. Submodules are imported when first used, so that ``import fmsync`` stays quick.
@@ -8,40 +8,41 @@ import importlib
 
 __version__ = "0.1.0"
 
-_HOME = {  # public name -> the room it lives in
+_HOME = {  # public name -> its module
     "Basis": "shape",
     "Estimate": "estimators",
     "LangevinPrior": "problem",
     "Posterior": "samplers",
-    "RectangularEstimate": "rectangular",
-    "RectangularSyncProblem": "rectangular",
+    "RectangularEstimate": "estimators.rectangular",
+    "RectangularSyncProblem": "estimators.rectangular",
     "Shape": "shape",
     "SyncProblem": "problem",
-    "certify": "certificate",
+    "certify": "estimators.certificate",
     "expected_rms_error": "bounds",
-    "functional_map_from_descriptors": "functional_map",
+    "functional_map": "functional_maps",
+    "functional_map_from_descriptors": "functional_maps",
     "laplace_beltrami": "shape",
-    "load_problem": "problem_io",
+    "load_problem": "problem",
     "methods": "estimators",
-    "point_map": "functional_map",
+    "point_map": "functional_maps",
     "relative_error_bound": "bounds",
     "sample": "samplers",
-    "save_problem": "problem_io",
+    "save_problem": "problem",
     "solve": "estimators",
-    "solve_rectangular": "rectangular",
-    "synchronize_shapes": "pipeline",
+    "solve_rectangular": "estimators.rectangular",
+    "synchronize_shapes": "matching",
 }
-_ROOMS = {
+_MODULES = {
     "bounds",
     "calibration",
-    "certificate",
     "diagnostics",
+    "energy",
     "estimators",
+    "functional_maps",
     "langevin",
     "oracle",
-    "pipeline",
+    "matching",
     "problem",
-    "rectangular",
     "samplers",
     "shape",
     "so",
@@ -54,7 +55,7 @@ __all__ = sorted({*_HOME, "functional_map"} - {"synchronize_shapes"})
 
 
 def __getattr__(name: str):
-    if name in _ROOMS:
+    if name in _MODULES:
         return importlib.import_module(f"fmsync.{name}")
     if name in _HOME:
         value = getattr(importlib.import_module(f"fmsync.{_HOME[name]}"), name)
@@ -64,8 +65,4 @@ def __getattr__(name: str):
 
 
 def __dir__():
-    return sorted({*globals(), *_HOME, *_ROOMS})
-
-
-# The room and the function share a name. Loading the room here, once, leaves the function under it for good.
-from fmsync.functional_map import functional_map  # noqa: E402, F401
+    return sorted({*globals(), *_HOME, *_MODULES})

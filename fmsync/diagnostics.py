@@ -2,17 +2,31 @@
 
 import html
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from arviz_stats.base import array_stats
 
-from fmsync.samplers import Posterior
+from fmsync.problem import SyncProblem
 
 _MAX_PAIRS = 10
 _LARGEST_RHAT, _LEAST_ESS = 1.01, 400
+
+
+class Draws(Protocol):
+    """What is looked at of a posterior (:class:`fmsync.Posterior`)."""
+
+    problem: SyncProblem
+    energy: np.ndarray
+    kappa: np.ndarray
+    settings: Mapping[str, object]
+
+    def kept(self) -> np.ndarray:
+        """(chains, draws, N, n, n) absolute maps."""
+        ...
 
 
 class ConvergenceWarning(UserWarning):
@@ -143,7 +157,7 @@ def ess(values: np.ndarray, kind: str = "bulk") -> float:
     return float(array_stats.ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
 
 
-def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Gauge-invariant scalars of every draw, each (chains, draws): the energy, and of some relative maps two numbers.
 
     ``edges`` (E, 2) are the pairs whose trace and first entry are watched; by default ten at most of the problem's own.
@@ -160,7 +174,7 @@ def scalars(post: Posterior, edges: np.ndarray | None = None) -> dict[str, np.nd
     return values
 
 
-def summary(post: Posterior, edges: np.ndarray | None = None) -> Summary:
+def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
 
     Warns with :class:`ConvergenceWarning` when an R-hat is above 1.01 or an effective sample size below 400.
@@ -180,7 +194,7 @@ def summary(post: Posterior, edges: np.ndarray | None = None) -> Summary:
     return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
 
-def warn_unless_converged(post: Posterior) -> None:
+def warn_unless_converged(post: Draws) -> None:
     """Warn when the energy or an inferred noise level has R-hat above 1.01 or fewer than 400 effective draws.
 
     :func:`summary` warns of its other scalars as well.
@@ -190,7 +204,7 @@ def warn_unless_converged(post: Posterior) -> None:
     _warn(tuple(values), r_hat, effective)
 
 
-def _levels(post: Posterior) -> dict[str, np.ndarray]:
+def _levels(post: Draws) -> dict[str, np.ndarray]:
     """The energy, and the logarithm of the concentration where it was inferred."""
     values = {"energy": post.energy}
     if post.settings.get("level_inferred"):

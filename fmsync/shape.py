@@ -11,9 +11,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from fmsync._lanczos import largest_eigenpairs
-from fmsync._threads import single_threaded_blas
+from fmsync.block_krylov import largest_eigenpairs
 from fmsync.extras import require
+from fmsync.threads import single_threaded_blas
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,11 +43,11 @@ def add_parser(commands: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.pipeline import Recalibration, synchronize_shapes
-    from fmsync.pipeline.doubts import doubts
-    from fmsync.pipeline.output import write_all
-    from fmsync.pipeline.reading import mesh_files, read_mesh
-    from fmsync.pipeline.recalibration import shipped
+    from fmsync.matching import Recalibration, synchronize_shapes
+    from fmsync.matching.doubts import doubts
+    from fmsync.matching.output import write_all
+    from fmsync.matching.reading import mesh_files, read_mesh
+    from fmsync.matching.recalibration import shipped
 
     output = options.output
     if output.exists() and (not output.is_dir() or any(output.iterdir())):

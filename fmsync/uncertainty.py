@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fmsync.functional_map import _nearest
+from fmsync.functional_maps import nearest_rows
 from fmsync.shape import Basis
 
 
@@ -43,7 +43,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
         raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
     if not 0 <= vertex < basis_i.n_vertices:
         raise ValueError(f"vertex: {vertex} is outside the vertices 0..{basis_i.n_vertices - 1} of shape i")
-    return _nearest(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
+    return nearest_rows(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
 
 
 def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:

@@ -8,8 +8,8 @@ import pytest
 import data_gen
 import fmsync
 from fmsync import calibration, so
-from fmsync import problem as energies
-from fmsync.samplers._levels import interpolated_log_normaliser, normaliser_table
+from fmsync.energy import energy as euclidean_energy
+from fmsync.samplers.noise_level import interpolated_log_normaliser, normaliser_table
 
 pytestmark = pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
 N_NODES, KAPPA, N_DRAWS = 5, 4.0, 29
@@ -40,7 +40,7 @@ def ranks_of(method, n_problems, level=None, factor=1.0, **options):
         truth, kappa, p = planted_problem(seed, level, projected)
         given = {"kappa": factor * KAPPA} if level is None else {}
         post = fmsync.sample(p, method, n_chains=1, n_draws=N_DRAWS, rng=seed, init=truth.absolute, **given, **options)
-        energy = energies.energy(p, truth.absolute)
+        energy = euclidean_energy(p, truth.absolute)
         if projected:
             found.append((calibration.rank(post.energy[0], energy), calibration.rank(post.kappa[0], kappa)))
         else:

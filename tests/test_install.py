@@ -21,7 +21,7 @@ from bench.__main__ import NEEDED
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-FOLDERS = {"fmsync/pipeline": "shapes", "fmsync/viz": "viz", "bench": "bench"}  # their files may import more
+FOLDERS = {"fmsync/matching": "shapes", "fmsync/viz": "viz", "bench": "bench"}  # their files may import more
 OURS = {"fmsync", "data_gen", "bench"}
 NO_INDEX = ("error sending request", "Failed to fetch", "network was disabled")  # words of uv
 
@@ -50,7 +50,7 @@ import numpy as np
 open("cloud.ply", "w").write("ply")
 for use in (
     lambda: fmsync.viz,
-    lambda: fmsync.pipeline,
+    lambda: fmsync.matching,
     lambda: fmsync.synchronize_shapes,
     lambda: fmsync.laplace_beltrami(np.random.default_rng(0).random((40, 3)), None, 3),
     lambda: data_gen.load_collection("cats", count=1, n_vertices=1000),
@@ -124,14 +124,14 @@ def test_a_plain_installation_is_small_and_names_the_extra_that_is_missing(plain
     refused = plain("fmsync", "sync", "x", "-o", "y")
     needs = {extra: f'needs the extra "{extra}": pip install "fmsync[{extra}]"' for extra in EXTRAS}
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert refused.stderr == f"fmsync: fmsync.pipeline {needs['shapes']}\n"
+    assert refused.stderr == f"fmsync: fmsync.matching {needs['shapes']}\n"
     listed = plain("python", "-m", "data_gen", "list", "cats")
     assert (listed.returncode, listed.stderr) == (1, f"importing pyvista {needs['shapes']}\n")
     said = plain("python", "-c", MISSING).stdout.splitlines()
     assert said == [
         f"fmsync.viz {needs['viz']}",
-        f"fmsync.pipeline {needs['shapes']}",
-        f"fmsync.pipeline {needs['shapes']}",
+        f"fmsync.matching {needs['shapes']}",
+        f"fmsync.matching {needs['shapes']}",
         f"importing robust_laplacian {needs['shapes']}",
         f"importing pyvista {needs['shapes']}",
         f"importing pyvista {needs['shapes']}",
@@ -242,7 +242,7 @@ def test_the_core_has_few_packages_and_uses_each():
     assert used == core
 
 
-@pytest.mark.parametrize(("folder", "extra"), [("fmsync/pipeline", "shapes"), ("fmsync/viz", "viz")])
+@pytest.mark.parametrize(("folder", "extra"), [("fmsync/matching", "shapes"), ("fmsync/viz", "viz")])
 def test_a_package_that_needs_an_extra_asks_for_all_of_it_at_once(folder, extra):
     used = {module for file in files(folder) for module, _, _ in imports(file)}
     optional = {module.partition(".")[0] for module in used if package(module) not in packages()}

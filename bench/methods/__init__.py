@@ -19,7 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from fmsync import estimators, samplers
+from fmsync.estimators.base import ESTIMATORS
 from fmsync.problem import relative_maps
+from fmsync.samplers.base import SAMPLERS
 from fmsync.samplers.together import sample_together
 
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
@@ -170,7 +172,7 @@ def get(name: str) -> Method:
 def _registered(name: str) -> Method | None:
     if name in _REGISTRY:
         return _REGISTRY[name]
-    for registry, kind in ((estimators._REGISTRY, "estimator"), (samplers._REGISTRY, "sampler")):
+    for registry, kind in ((ESTIMATORS, "estimator"), (SAMPLERS, "sampler")):
         if name in registry:
             return Method(name, registry[name], kind)
     return None
@@ -207,4 +209,4 @@ def load(file: str | Path) -> list[str]:
 
 def _all_functions() -> dict[str, Callable]:
     own = {name: entry.function for name, entry in _REGISTRY.items()}
-    return {**estimators._REGISTRY, **samplers._REGISTRY, **own}
+    return {**ESTIMATORS, **SAMPLERS, **own}

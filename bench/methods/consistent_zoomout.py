@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from bench.methods import Answer, method
-from bench.methods.pyfm_network import _has_cycles, _latent_bases, _network
+from bench.methods.pyfm_network import has_cycles, latent_bases, shape_network
 
 _VERTICES = 1000  # of each shape by which maps are refined
 
@@ -20,8 +20,8 @@ def consistent_zoomout(planted, *, rng, start: int | None = None) -> Answer:
     if not planted.bases:
         raise ValueError("consistent-zoomout: the problem has no shapes; use a generator that brings bases")
     problem = planted.problem
-    network = _network(problem, fixed=True)
-    if not _has_cycles(network):
+    network = shape_network(problem, fixed=True)
+    if not has_cycles(network):
         raise ValueError("consistent-zoomout: the graph has no 3-cycle to weigh")
     network.meshlist = [
         SimpleNamespace(eigenvalues=basis.eigenvalues, eigenvectors=basis.eigenfunctions, A=basis.mass)
@@ -34,5 +34,5 @@ def consistent_zoomout(planted, *, rng, start: int | None = None) -> Answer:
         network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + 1, n_jobs=1)
     network.set_weights(weight_type="adjacency")
     network.compute_W(M=problem.n)
-    bases = _latent_bases(network, rng)
+    bases = latent_bases(network, rng)
     return Answer(lambda pairs: bases[pairs[:, 0]] @ np.linalg.inv(bases[pairs[:, 1]]))

@@ -30,12 +30,12 @@ def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjac
     """  # noqa: E501
     if weights not in ("adjacency", "icsm", "icsm-fixed"):
         raise ValueError(f"weights: 'adjacency', 'icsm' or 'icsm-fixed', not {weights!r}")
-    network = _network(problem, fixed=weights == "icsm-fixed")
-    if weights != "adjacency" and not _has_cycles(network):
+    network = shape_network(problem, fixed=weights == "icsm-fixed")
+    if weights != "adjacency" and not has_cycles(network):
         raise ValueError("weights: the graph has no 3-cycle to weigh; use 'adjacency'")
     network.set_weights(weight_type="adjacency" if weights == "adjacency" else "icsm")
     network.compute_W(M=problem.n)
-    bases = _latent_bases(network, rng)
+    bases = latent_bases(network, rng)
     if projected:
         if np.linalg.det(bases).sum() < 0:
             bases = bases * np.where(np.arange(problem.n) == 0, -1.0, 1.0)
@@ -45,12 +45,12 @@ def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjac
 
 def cycle_error_of(problem, *, fixed: bool) -> float:
     """Largest 3-cycle error that pyFM sees in the observed maps, in its own order of composition or the right one."""
-    network = _network(problem, fixed)
+    network = shape_network(problem, fixed)
     network.extract_3_cycles()
     return max(network.get_cycle_weight(cycle, M=problem.n) for cycle in network.cycles)
 
 
-def _network(problem, fixed: bool):
+def shape_network(problem, fixed: bool):
     network_class = require("pyFM.FMN", "bench").FMN
 
     class RightOrder(network_class):
@@ -69,13 +69,13 @@ def _network(problem, fixed: bool):
     return network.set_maps({pair: total / counts[pair] for pair, total in maps.items()})
 
 
-def _has_cycles(network) -> bool:
+def has_cycles(network) -> bool:
     network.extract_3_cycles()
     network.compute_Amat()
     return bool(network.cycles)
 
 
-def _latent_bases(network, rng: np.random.Generator) -> np.ndarray:
+def latent_bases(network, rng: np.random.Generator) -> np.ndarray:
     """(N, n, n): ``FMN.compute_CLB`` with a start vector, without which the same input gives different bits."""
     size = network.W.shape[0]
     mass = scipy.sparse.eye(size) / network.n_meshes

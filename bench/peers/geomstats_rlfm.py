@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from fmsync import problem as energies
+from fmsync.energy import energy
 from fmsync.problem import LangevinPrior, SyncProblem
 from fmsync.samplers import concentration, sampler
 from fmsync.samplers.rlfm import default_step
@@ -54,7 +54,7 @@ class GeomstatsRLFM:
 
     def energy(self) -> np.ndarray:
         """(K,) Euclidean energy."""
-        return energies.energy(self._problem, self.state)
+        return energy(self._problem, self.state)
 
     def step(self, warming: bool) -> None:
         """One step: ambient gradient, projection to the tangent space and exponential map."""

@@ -10,9 +10,10 @@ import pymanopt
 from pymanopt.manifolds import SpecialOrthogonalGroup
 from pymanopt.optimizers import TrustRegions
 
+from fmsync.energy import neighbour_sums
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
-from fmsync.estimators._recorder import Recorder
-from fmsync.problem import SyncProblem, neighbour_sums
+from fmsync.estimators.recorder import Recorder
+from fmsync.problem import SyncProblem
 
 
 @estimator("mle-pymanopt")

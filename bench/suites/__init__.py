@@ -235,22 +235,22 @@ class _Reader:
     def __init__(self, path: Path, text: str, extra: Mapping[str, str]):
         self._path, self._text, self._extra = path, text, extra
         try:
-            self._file = tomllib.loads(text)
+            self.file = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise SuiteError(f"{path}: {error}") from None
-        self._check(self._file, _TOP, "")
+        self._check(self.file, _TOP, "")
         for needed in ("description", "seeds", "grid"):
-            if needed not in self._file:
+            if needed not in self.file:
                 raise SuiteError(f"{path}: {needed} is missing")
-        tables = self._file.get("method", {})
-        if other := self._file.get("methods_of"):
+        tables = self.file.get("method", {})
+        if other := self.file.get("methods_of"):
             file = suite_file(other)
-            tables = _Reader(file, file.read_text(encoding="utf-8"), {})._file.get("method", {}) | tables
+            tables = _Reader(file, file.read_text(encoding="utf-8"), {}).file.get("method", {}) | tables
         self._entries = {label: self._entry(label, table) for label, table in tables.items()}
 
     def cells(self, seeds: int | None) -> list[Cell]:
         cells = []
-        for grid in self._file["grid"]:
+        for grid in self.file["grid"]:
             self._check(grid, _GRID, "grid")
             for needed in ("generator", "problem", "methods"):
                 if needed not in grid:
@@ -259,9 +259,9 @@ class _Reader:
             entries = [(label, *self._entry_of(label)) for label in grid["methods"]]
             used = {method for _, method, _ in entries}
             entries += [(label, *self._entry_of(label)) for label in self._extra if label not in used]
-            limit = grid.get("seconds", self._file.get("seconds", 60))
-            memory = self._file.get("memory", 2000)
-            n_seeds = min(seeds or np.inf, grid.get("seeds", self._file["seeds"]))
+            limit = grid.get("seconds", self.file.get("seconds", 60))
+            memory = self.file.get("memory", 2000)
+            n_seeds = min(seeds or np.inf, grid.get("seeds", self.file["seeds"]))
             for problem in _sweep(grid["problem"]):  # problem by problem: a worker makes each once
                 for seed in range(int(n_seeds)):
                     for label, method, options in entries:
@@ -276,7 +276,7 @@ class _Reader:
                                 float(limit),
                                 float(memory),
                                 self._extra.get(method),
-                                self._file.get("together", False),
+                                self.file.get("together", False),
                             )
                         )
         return cells

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from fmsync.estimators import Callback, Estimate, estimator, starting_point
-from fmsync.estimators._trust_region import Rotations, minimise
+from fmsync.estimators.base import Callback, Estimate, estimator
+from fmsync.estimators.starts import starting_point
+from fmsync.estimators.trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem
 
 

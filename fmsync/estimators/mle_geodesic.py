@@ -7,7 +7,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from fmsync import so
-from fmsync.estimators import Callback, Estimate, Trace, estimator, starting_point
+from fmsync.estimators.base import Callback, Estimate, Trace, estimator
+from fmsync.estimators.starts import starting_point
 from fmsync.problem import SyncProblem, relative_maps
 from fmsync.so import transpose
 

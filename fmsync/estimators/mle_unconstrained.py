@@ -4,9 +4,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from fmsync.estimators import Callback, Estimate, Trace, estimator
-from fmsync.estimators._recorder import Recorder
-from fmsync.problem import SyncProblem, neighbour_sums, unconstrained_energy
+from fmsync.energy import neighbour_sums, unconstrained_energy
+from fmsync.estimators.base import Callback, Estimate, Trace, estimator
+from fmsync.estimators.recorder import Recorder
+from fmsync.problem import SyncProblem
 from fmsync.so import transpose
 
 

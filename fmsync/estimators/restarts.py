@@ -1,31 +1,11 @@
-"""Several starts of one optimiser: do they agree, and the paper's mean over them."""
-
-from dataclasses import replace
+"""The paper's mean over several starts of one optimiser."""
 
 import numpy as np
 
 from fmsync import so
-from fmsync.estimators import Estimate, solve
+from fmsync.estimators.base import Estimate
+from fmsync.estimators.solve import solve
 from fmsync.problem import SyncProblem
-
-
-def best_of_starts(problem: SyncProblem, method: str, restarts: int, rng: np.random.Generator, **options) -> Estimate:
-    """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
-
-    What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came
-    to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
-    proof of local ones.
-    """
-    if isinstance(restarts, bool) or int(restarts) != restarts or restarts < 1:
-        raise ValueError(f"restarts: need a whole number of starts >= 1, got {restarts}")
-    inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
-    answers = [
-        solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))
-        for init, stream in zip(inits, rng.spawn(restarts))
-    ]
-    best = min(answers, key=lambda answer: answer.cost)
-    slack = 1e-6 * max(1.0, abs(best.cost))
-    return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
 def mean_of_starts(

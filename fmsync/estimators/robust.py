@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmsync import langevin
-from fmsync.estimators import Callback, Estimate, Trace, estimator, starting_point
-from fmsync.estimators._trust_region import Rotations, minimise
-from fmsync.problem import SyncProblem, gradient, relative_maps
+from fmsync.energy import gradient
+from fmsync.estimators.base import Callback, Estimate, Trace, estimator
+from fmsync.estimators.starts import starting_point
+from fmsync.estimators.trust_region import Rotations, minimise
+from fmsync.problem import SyncProblem, relative_maps
 
 LOSSES = ("mixture", "geman-mcclure", "l1")
 _FLOOR = 1e-9  # least share of its weight that an edge keeps, so that the graph stays connected

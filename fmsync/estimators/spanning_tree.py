@@ -3,9 +3,10 @@
 import networkx as nx
 import numpy as np
 
-from fmsync.estimators import Callback, Estimate, estimator
-from fmsync.estimators._groups import check_group, nearest
-from fmsync.problem import SyncProblem, gradient
+from fmsync.energy import gradient
+from fmsync.estimators.base import Callback, Estimate, estimator
+from fmsync.estimators.groups import check_group, nearest
+from fmsync.problem import SyncProblem
 
 
 @estimator("spanning-tree")

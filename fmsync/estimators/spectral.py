@@ -4,9 +4,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from fmsync import so
-from fmsync.estimators import Callback, Estimate, estimator
-from fmsync.estimators._groups import check_group, nearest
-from fmsync.problem import SyncProblem, gradient, neighbour_sums, sparse_sums
+from fmsync.energy import gradient, neighbour_sums, sparse_sums
+from fmsync.estimators.base import Callback, Estimate, estimator
+from fmsync.estimators.groups import check_group, nearest
+from fmsync.problem import SyncProblem
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
 _DEPTH, _CYCLES = 12, 8  # products before a restart, which store as many blocks; and how many restarts

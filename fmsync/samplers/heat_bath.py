@@ -4,14 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmsync import problem as energies
 from fmsync import so
+from fmsync.energy import energy as euclidean_energy
 from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
-from fmsync.samplers import _heat, _kernels, sampler
-from fmsync.samplers._crew import Crew
-from fmsync.samplers._levels import Concentration, check_identified
-from fmsync.samplers._random import generators
-from fmsync.samplers._stretch import Stretches
+from fmsync.samplers import langevin_kernels, plane_rotations
+from fmsync.samplers.base import sampler
+from fmsync.samplers.noise_level import Concentration, check_identified
+from fmsync.samplers.polar_factor import Stretches
+from fmsync.samplers.random_streams import generators
+from fmsync.samplers.thread_pool import Crew
 
 _POLISH_EVERY = 200  # sweeps between two repairs of orthogonality and of the running energy
 # Below these a thread costs more to wake than it saves: N n² (n + 30) of all chains; of a colour, its nodes a thread.
@@ -80,15 +81,15 @@ class HeatBath:
         self._field = prior_field(problem, prior)
         self._stretches = None
         start_of, edge, self._other, forward = problem.incidence
-        self._start_of, self._planes, self._crew = start_of, _heat.rounds(problem.n), Crew()
-        self._order, self._colours = _heat.colours(start_of, self._other)
+        self._start_of, self._planes, self.crew = start_of, plane_rotations.rounds(problem.n), Crew()
+        self._order, self._colours = plane_rotations.colours(start_of, self._other)
         self._gains = np.empty(start.shape[:2])
         self._heavy = self._gains.size * problem.n**2 * (problem.n + 30) > _WORTH_SHARING
         if likelihood == "langevin":
             self._level = Concentration(problem, prior, kappa, beta, len(start), rng)
             self.kappa = self._level.value
             blocks = np.empty(2 * problem.n_edges * problem.n**2)
-            _heat.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
+            plane_rotations.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
             self._blocks = blocks[None]  # every chain reads the same
         else:
             if kappa is not None or beta is not None:
@@ -121,7 +122,7 @@ class HeatBath:
     def energy(self) -> np.ndarray:
         """(K,) Euclidean energy of the observations, without the prior."""
         if self._stretches is not None:
-            return energies.energy(self._problem, self.state)
+            return euclidean_energy(self._problem, self.state)
         return self._problem.constant - 2 * self._traces
 
     def step(self, warming: bool) -> None:
@@ -148,31 +149,31 @@ class HeatBath:
 
         def sweep(chains: slice, nodes: np.ndarray) -> None:
             blocks = self._blocks if len(self._blocks) == 1 else self._blocks[chains]
-            _heat.sweep_chains(
+            plane_rotations.sweep_chains(
                 self._x[chains], blocks, self._start_of, self._other, self._field, self.kappa[chains], self._over,
                 self._planes, nodes, self._streams[chains], self._gains[chains],
             )  # fmt: skip
 
-        if n_chains >= self._crew.size or not self._heavy:
+        if n_chains >= self.crew.size or not self._heavy:
             self._share(lambda first, last: sweep(slice(first, last), order), n_chains)
             return
         for first, last in zip(self._colours, self._colours[1:]):
             nodes = order[first:last]
-            if len(nodes) < _LEAST_COLOUR * self._crew.size:
+            if len(nodes) < _LEAST_COLOUR * self.crew.size:
                 sweep(slice(None), nodes)
             else:
-                self._crew.share(lambda a, b, nodes=nodes: sweep(slice(None), nodes[a:b]), len(nodes))
+                self.crew.share(lambda a, b, nodes=nodes: sweep(slice(None), nodes[a:b]), len(nodes))
 
     def _share(self, work: Callable[[int, int], None], count: int) -> None:
         if self._heavy:
-            self._crew.share(work, count)
+            self.crew.share(work, count)
         else:
             work(0, count)
 
     def _refresh(self) -> None:
         """Take off the rounding that maps and running energies gathered."""
-        self._x = _kernels.polish(self._x)
-        self._traces = (self._problem.constant - energies.energy(self._problem, self.state)) / 2  # (K,)
+        self._x = langevin_kernels.polish(self._x)
+        self._traces = (self._problem.constant - euclidean_energy(self._problem, self.state)) / 2  # (K,)
 
 
 def prior_field(problem: SyncProblem, prior: LangevinPrior | None) -> np.ndarray:

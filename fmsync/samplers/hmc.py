@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from fmsync import problem as energies
 from fmsync import so
-from fmsync.problem import LangevinPrior, SyncProblem, neighbour_sums
-from fmsync.samplers import _kernels, concentration, sampler
-from fmsync.samplers._levels import Concentration
-from fmsync.samplers._random import generators
+from fmsync.energy import geodesic_energy, geodesic_gradient, neighbour_sums
+from fmsync.energy import gradient as energy_gradient
+from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
+from fmsync.samplers import langevin_kernels
+from fmsync.samplers.base import concentration, sampler
 from fmsync.samplers.heat_bath import prior_field
+from fmsync.samplers.noise_level import Concentration
+from fmsync.samplers.random_streams import generators
 
 _POLISH_EVERY = 50  # transitions between two repairs of orthogonality
 _MOST_STEPS = 200  # of one trajectory
@@ -86,7 +88,7 @@ class HMC:
                     "kappa: the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with "
                     "it; give kappa or beta, or use energy='euclidean'"
                 )
-            energies.check_rotations(problem.maps, "maps (node = edge)")
+            check_rotations(problem.maps, "maps (node = edge)")
             self.kappa = np.full(len(start), concentration(kappa, beta))
         self._inferred = self._level is not None and self._level.inferred
         self._states = generators(rng, len(start))  # for the noise level
@@ -142,7 +144,7 @@ class HMC:
             self._level.update((self._problem.constant - self._observed) / 2, self._states)
             self.refresh()
         if self._age % _POLISH_EVERY == 0:
-            self._c = _kernels.polish(self._c)
+            self._c = langevin_kernels.polish(self._c)
             self.refresh()
 
     def trajectory(self, c: np.ndarray, p: np.ndarray, gradient: np.ndarray, count: int) -> tuple:
@@ -162,10 +164,10 @@ class HMC:
         if self._euclidean:
             sums = neighbour_sums(self._problem, c)
             observed = self._problem.constant - np.einsum("kiab,kiab->k", c, sums)
-            gradient = energies.gradient(self._problem, c, sums)
+            gradient = energy_gradient(self._problem, c, sums)
         else:
-            observed = energies.geodesic_energy(self._problem, c)
-            gradient = energies.geodesic_gradient(self._problem, c)
+            observed = geodesic_energy(self._problem, c)
+            gradient = geodesic_gradient(self._problem, c)
         potential = self.kappa / 2 * observed
         gradient = self.kappa[:, None, None, None] / 2 * gradient
         if len(self._field):
@@ -186,7 +188,7 @@ class HMC:
         if not self._exp:
             return c @ so.cayley(omega)
         moved = np.array(c).reshape(-1, *c.shape[-2:])
-        _kernels.rotate(moved, np.ascontiguousarray(omega).reshape(moved.shape))
+        langevin_kernels.rotate(moved, np.ascontiguousarray(omega).reshape(moved.shape))
         return moved.reshape(c.shape)
 
     def _n_steps(self, share: float) -> int:

@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmsync import problem as energies
 from fmsync import so
-from fmsync.problem import LangevinPrior, SyncProblem, neighbour_sums
-from fmsync.samplers import _kernels, concentration, sampler, with_anchor
+from fmsync.energy import geodesic_energy, geodesic_gradient, neighbour_sums, unconstrained_energy
+from fmsync.problem import LangevinPrior, SyncProblem, check_rotations, fix_gauge
+from fmsync.samplers import langevin_kernels
+from fmsync.samplers.base import concentration, sampler, with_anchor
 
 _POLISH_EVERY = 100  # steps between two repairs of orthogonality
 
@@ -82,7 +83,7 @@ class RLFM:
             if not constrained:
                 raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
             for one in problems:
-                energies.check_rotations(one.maps, "maps (node = edge)")
+                check_rotations(one.maps, "maps (node = edge)")
         if step is not None and not (np.isfinite(step) and step > 0):
             raise ValueError(f"step: must be finite and > 0, got {step}; leave it out for the default")
         self._n_kept, n = problems[0].n_nodes, problems[0].n
@@ -91,7 +92,7 @@ class RLFM:
             with_prior, start = with_anchor(problems[0], start, prior, concentrated)
             problems, self._held = (with_prior,), self._n_kept
         elif not constrained:
-            start, self._held = energies.fix_gauge(start), 0
+            start, self._held = fix_gauge(start), 0
             start[:, 0] = np.eye(n)  # without the rounding
         self._problems = problems
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
@@ -130,9 +131,9 @@ class RLFM:
     def energy(self) -> np.ndarray:
         """(K,) potential U of the state, with the prior's part."""
         if not self._constrained:
-            return self._each(energies.unconstrained_energy)
+            return self._each(unconstrained_energy)
         if not self._euclidean:
-            return self._each(energies.geodesic_energy)
+            return self._each(geodesic_energy)
         constant = np.array([problem.constant for problem in self._problems])
         return constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
 
@@ -150,7 +151,7 @@ class RLFM:
         self._sums = None
         self._age += 1
         if self._constrained and self._age % _POLISH_EVERY == 0:
-            self._c = _kernels.polish(self._c)
+            self._c = langevin_kernels.polish(self._c)
 
     def _noise(self, shape: tuple[int, ...]) -> np.ndarray:
         """(K, ...) standard normal numbers: all from one generator, or those of a chain from its own."""
@@ -166,15 +167,17 @@ class RLFM:
         noise = self._noise((count, n_nodes, n * (n - 1) // 2)).reshape(len(flat), -1)
         drift, spread = np.repeat(self._drift, n_nodes), np.repeat(self._spread, n_nodes)
         if self._euclidean:
-            return _kernels.langevin_tangents(flat, self._neighbour_sums().reshape(flat.shape), noise, drift, spread)
-        omega = _kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)
-        omega -= drift[:, None, None] * self._each(energies.geodesic_gradient).reshape(flat.shape)
+            return langevin_kernels.langevin_tangents(
+                flat, self._neighbour_sums().reshape(flat.shape), noise, drift, spread
+            )
+        omega = langevin_kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)
+        omega -= drift[:, None, None] * self._each(geodesic_gradient).reshape(flat.shape)
         return omega
 
     def _retract(self, omega: np.ndarray) -> None:
         flat = self._c.reshape(omega.shape)  # a view: the state is C-contiguous
         if self._exp:
-            _kernels.rotate(flat, omega)
+            langevin_kernels.rotate(flat, omega)
         else:
             self._c = so.qf(flat + flat @ omega).reshape(self._c.shape)
 

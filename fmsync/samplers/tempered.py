@@ -3,7 +3,7 @@
 import numpy as np
 
 from fmsync.problem import LangevinPrior, SyncProblem
-from fmsync.samplers import concentration, sampler
+from fmsync.samplers.base import concentration, sampler
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC, MALA
 

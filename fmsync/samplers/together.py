@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmsync._threads import single_threaded_blas
 from fmsync.problem import SyncProblem
-from fmsync.samplers import _REGISTRY, Posterior, _check_counts, _nothing, _run, _starts
-from fmsync.samplers._store import DrawStore
+from fmsync.samplers.base import SAMPLERS
+from fmsync.samplers.draw_store import DrawStore
+from fmsync.samplers.posterior import Posterior
 from fmsync.samplers.rlfm import RLFM
+from fmsync.samplers.sample import check_counts, no_callback, run_chains, starts
+from fmsync.threads import single_threaded_blas
 
 
 def sample_together(
@@ -51,8 +53,8 @@ def sample_together(
     >>> [post.absolute.shape for post in sample_together(problems, rngs=[0, 1], n_draws=50, warmup=20)]
     [(1, 50, 3, 4, 4), (1, 50, 3, 4, 4)]
     """
-    _REGISTRY.find("rlfm", options)
-    _check_counts(n_draws=n_draws, warmup=warmup, thin=thin)
+    SAMPLERS.find("rlfm", options)
+    check_counts(n_draws=n_draws, warmup=warmup, thin=thin)
     sizes = {(problem.n_nodes, problem.n) for problem in problems}
     if len(sizes) != 1 or len(rngs) != len(problems):
         raise ValueError(
@@ -61,11 +63,11 @@ def sample_together(
         )
     generators = tuple(np.random.default_rng(rng) for rng in rngs)
     with single_threaded_blas():
-        start = np.concatenate([_starts(problem, init, 1, rng) for problem, rng in zip(problems, generators)])
+        start = np.concatenate([starts(problem, init, 1, rng) for problem, rng in zip(problems, generators)])
         engine = RLFM(tuple(problems), start, generators, **options)
         draws = DrawStore("memory", n_draws, engine.state.shape)
         with draws:
-            energies, kappas = _run(engine, n_draws, warmup, thin, _nothing, draws)
+            energies, kappas = run_chains(engine, n_draws, warmup, thin, no_callback, draws)
     settings = {"warmup": int(warmup), "thin": int(thin), **engine.settings}
     return [
         Posterior(

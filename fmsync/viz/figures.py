@@ -19,7 +19,7 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 _LEAST_TYPE = 10  # points: 9 pixels on a phone, where a figure of the usual width is shown at three fifths
 
 # white paper in both themes of the book: the page puts it on a rounded card; 12 pt stays legible on a phone
-_STYLE = {
+STYLE = {
     "figure.figsize": (5.2, 3.3),
     "figure.dpi": 110,
     "figure.facecolor": "white",
@@ -52,7 +52,7 @@ def style() -> None:
     >>> import fmsync
     >>> fmsync.viz.style()
     """
-    mpl.style.use(_STYLE)
+    mpl.style.use(STYLE)
 
 
 @dataclass(frozen=True, repr=False)
@@ -192,7 +192,7 @@ def heatmaps(
 
     columns = min(columns, len(matrices))
     rows = -(-len(matrices) // columns)
-    with mpl.style.context(_STYLE):
+    with mpl.style.context(STYLE):
         fig, axes = plt.subplots(rows, columns, figsize=(1.55 * columns + 0.8, 1.9 * rows), squeeze=False)
         for ax in axes.flat[len(matrices) :]:
             ax.set_visible(False)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from fmsync.viz.figures import _STYLE, PALETTE, freeze, image_tag
+from fmsync.viz.figures import PALETTE, STYLE, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
@@ -148,7 +148,7 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, target: ArrayLike | None = No
 
 def _sphere(points: np.ndarray, target: ArrayLike | None, total: int) -> Figure:
     x, y, depth = _seen(points)
-    with mpl.style.context(_STYLE):
+    with mpl.style.context(STYLE):
         fig, ax = plt.subplots(figsize=(3.6, 3.8))
     ax.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), aspect="equal", title=f"step {len(points)} of {total}")
     ax.set_axis_off()

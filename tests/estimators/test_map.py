@@ -5,7 +5,7 @@ import pytest
 
 import fmsync
 from fmsync import so
-from fmsync.problem import energy
+from fmsync.energy import energy
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 
 import bench.peers  # noqa: F401  registers the peers
 import fmsync
-from fmsync.problem import gradient
+from fmsync.energy import gradient
 
 
 @pytest.mark.parametrize(

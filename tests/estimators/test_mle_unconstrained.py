@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import fmsync
+from fmsync.energy import unconstrained_energy
 from fmsync.estimators.mle_unconstrained import precision
-from fmsync.problem import unconstrained_energy
 
 
 def dense_least_squares(problem):

@@ -6,7 +6,7 @@ import pytest
 import data_gen
 import fmsync
 from fmsync import so
-from fmsync.samplers.running import PointMapCounts, RelativeMoments
+from fmsync.samplers.streaming import PointMapCounts, RelativeMoments
 from fmsync.shape import Basis
 
 

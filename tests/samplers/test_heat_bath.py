@@ -14,14 +14,14 @@ from scipy.special import ive
 import data_gen
 import fmsync
 from fmsync import langevin, so
-from fmsync.problem import neighbour_sums
-from fmsync.samplers import _crew, _heat, _levels, _random
+from fmsync.energy import neighbour_sums
+from fmsync.samplers import noise_level, plane_rotations, random_streams, thread_pool
 from tests.samplers.laws import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
 
 
 def test_generators_against_their_definition():
     """Python's whole numbers in place of 64-bit registers, one lane after the other."""
-    state = _random.generators(np.random.default_rng(0), 2)[1]
+    state = random_streams.generators(np.random.default_rng(0), 2)[1]
     lanes, mask = [[int(v) for v in state[:, lane]] for lane in range(8)], 2**64 - 1
     expected = np.empty((100, 8))
     for t in range(100):
@@ -37,26 +37,26 @@ def test_generators_against_their_definition():
             s[3] = ((s[3] << 45) | (s[3] >> 19)) & mask
             expected[t, lane] = (result >> 11) / 2**53
     drawn = np.empty((100, 8))
-    drawn[0, 0] = _random.uniform(state.copy())
+    drawn[0, 0] = random_streams.uniform(state.copy())
     assert drawn[0, 0] == expected[0, 0]
-    _random.fill(state, drawn)
+    random_streams.fill(state, drawn)
     np.testing.assert_array_equal(drawn, expected)
     assert len(np.unique(drawn)) == drawn.size
 
 
 def half_angles(k, count, state):
     """(count, 2) cosines and sines by the compiled draw, each with another place in its vectors."""
-    pool, at, drawn = np.empty(_random.POOL), _random.POOL, np.empty((count // 5, 5, 2))
+    pool, at, drawn = np.empty(random_streams.POOL), random_streams.POOL, np.empty((count // 5, 5, 2))
     room = np.empty((3, 8))
     for t in range(len(drawn)):
-        at = _random.von_mises_halves(np.full(8, k), room[0], room[1], room[2], 5, state, pool, at)
+        at = random_streams.von_mises_halves(np.full(8, k), room[0], room[1], room[2], 5, state, pool, at)
         drawn[t] = room[:2, :5].T
     return drawn.reshape(-1, 2)
 
 
 @pytest.mark.parametrize("k", [0.0, 1e-13, 0.3, 1.99, 2.0, 5.0, 200.0, 1e7])
 def test_von_mises_draws(k):
-    half = half_angles(k, 20_000, _random.generators(np.random.default_rng(1), 1)[0])
+    half = half_angles(k, 20_000, random_streams.generators(np.random.default_rng(1), 1)[0])
     np.testing.assert_allclose((half**2).sum(1), 1)
     angle = 2 * np.arctan2(half[:, 1], half[:, 0])
     angle = np.angle(np.exp(1j * angle))
@@ -80,12 +80,12 @@ def test_the_envelope_lies_above_the_von_mises_law():
 
 def test_an_exponential_of_plain_arithmetic():
     x = np.concatenate([-np.geomspace(1e-12, 50, 300), [0.0]])
-    np.testing.assert_allclose([_random._exp(v) for v in x], np.exp(x), rtol=0, atol=3e-14)
+    np.testing.assert_allclose([random_streams._exp(v) for v in x], np.exp(x), rtol=0, atol=3e-14)
 
 
 @pytest.mark.parametrize("n", [2, 3, 6, 9])
 def test_every_plane_is_in_one_round_of_disjoint_planes(n):
-    table = _heat.rounds(n)
+    table = plane_rotations.rounds(n)
     assert sorted(map(tuple, table.reshape(-1, 2))) == [(a, b) for a in range(n) for b in range(a + 1, n)]
     assert all(len(set(pairs.ravel())) == pairs.size for pairs in table)
 
@@ -94,7 +94,7 @@ def test_colours_are_proper():
     graph = data_gen.random_graph(40, 0.2, rng=0)
     p = data_gen.perturb(data_gen.planted(40, 3, graph, rng=0), 0.1, 1)
     start, _, other, _ = p.incidence
-    order, first = _heat.colours(start, other)
+    order, first = plane_rotations.colours(start, other)
     assert sorted(order) == list(range(40))
     assert (first[0], first[-1]) == (0, 40)
     assert len(first) - 1 <= p.degrees.max() + 1
@@ -107,15 +107,15 @@ def slow_sweep(c, problem, kappa, field, over_relaxations, order, states):
     count = problem.n // 2
     padded = -(-count // 4) * 4
     for i in order:
-        pool, at, room = np.empty(_random.POOL), _random.POOL, np.empty((3, padded))
+        pool, at, room = np.empty(random_streams.POOL), random_streams.POOL, np.empty((3, padded))
         force = kappa * neighbour_sums(problem, c)[i] + field[i]
         for over_relax in [True] * over_relaxations + [False]:
-            for pairs in _heat.rounds(problem.n):
+            for pairs in plane_rotations.rounds(problem.n):
                 size = np.ones(padded)
                 w = force.T @ c[i]
                 size[:count] = [np.hypot(w[a, a] + w[b, b], w[a, b] - w[b, a]) for a, b in pairs]
                 if not over_relax:
-                    at = _random.von_mises_halves(size, room[0], room[1], room[2], count, states[i], pool, at)
+                    at = random_streams.von_mises_halves(size, room[0], room[1], room[2], count, states[i], pool, at)
                 for k, (a, b) in enumerate(pairs):
                     w = force.T @ c[i]
                     mode = np.arctan2(w[a, b] - w[b, a], w[a, a] + w[b, b])
@@ -133,16 +133,16 @@ def test_sweep_against_its_slow_twin(n, with_prior):
     p = fmsync.SyncProblem(6, p.edges, p.maps, weights=np.random.default_rng(2).uniform(0.5, 2, p.n_edges))
     start, edge, other, forward = p.incidence
     blocks = np.empty(2 * p.n_edges * n * n)
-    _heat.node_blocks(p.maps, p.weights, start, edge, forward, blocks)
+    plane_rotations.node_blocks(p.maps, p.weights, start, edge, forward, blocks)
     c = so.random_uniform(n, 6, rng=3)
     field = so.random_uniform(n, 6, rng=4) * 3 if with_prior else np.zeros((6, n, n))
     given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, n, n))
-    states, (order, _) = _random.generators(np.random.default_rng(5), 6), _heat.colours(start, other)
+    states, (order, _) = random_streams.generators(np.random.default_rng(5), 6), plane_rotations.colours(start, other)
     twin, x, twin_states, gains = c.copy(), np.ascontiguousarray(so.transpose(c)), states.copy(), np.empty(6)
-    _heat.sweep(x, blocks, start, other, given, 5.0, 2, _heat.rounds(p.n), order, states, gains)
+    plane_rotations.sweep(x, blocks, start, other, given, 5.0, 2, plane_rotations.rounds(p.n), order, states, gains)
     slow_sweep(twin, p, 5.0, field, 2, order, twin_states)
     np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
-    change = (fmsync.problem.energy(p, c) - fmsync.problem.energy(p, twin)) / 2
+    change = (fmsync.energy.energy(p, c) - fmsync.energy.energy(p, twin)) / 2
     assert gains.sum() == pytest.approx(change, abs=1e-9)
 
 
@@ -170,7 +170,7 @@ def test_energy_is_that_of_the_draws_and_the_group_is_not_left():
     post = fmsync.sample(p, "heat-bath", kappa=8.0, n_chains=1, n_draws=3, thin=40_000, warmup=0, rng=0)
     last = post.absolute[0, -1]
     assert np.abs(so.transpose(last) @ last - np.eye(3)).max() < 1e-10
-    np.testing.assert_allclose(post.energy, fmsync.problem.energy(p, post.absolute), atol=1e-9)
+    np.testing.assert_allclose(post.energy, fmsync.energy.energy(p, post.absolute), atol=1e-9)
 
 
 def test_prior_is_sampled_with_its_own_concentration():
@@ -192,17 +192,17 @@ def test_prior_is_sampled_with_its_own_concentration():
 def test_table_of_the_normaliser(n):
     kappa = np.exp(np.random.default_rng(n).uniform(np.log(1e-4), np.log(1e5), 200))
     exact = np.concatenate([np.atleast_1d(langevin.log_normaliser(n, k)) for k in kappa])
-    table = _levels.normaliser_table(n)
-    ours = np.array([_levels.interpolated_log_normaliser(k, table) for k in kappa])
+    table = noise_level.normaliser_table(n)
+    ours = np.array([noise_level.interpolated_log_normaliser(k, table) for k in kappa])
     np.testing.assert_allclose(ours, exact, rtol=1e-8)
 
 
 @pytest.mark.parametrize(("trace", "count"), [(1.0, 3.0), (40.0, 15.0), (44.9999, 15.0)])
 def test_concentration_step_against_quadrature(trace, count):
-    table, state = _levels.normaliser_table(3), _random.generators(np.random.default_rng(0), 1)[0]
+    table, state = noise_level.normaliser_table(3), random_streams.generators(np.random.default_rng(0), 1)[0]
     draws, kappa = np.empty(20_000), 1.0
     for t in range(len(draws)):
-        draws[t] = kappa = _levels.draw_kappa(kappa, trace, count, 3, table, state)
+        draws[t] = kappa = noise_level.draw_kappa(kappa, trace, count, 3, table, state)
     grid = np.geomspace(1e-6, 1e5, 2500)  # equal steps in log κ: the density gains a factor κ
     normaliser = np.array([float(langevin.log_normaliser(3, k)) for k in grid])
     density = grid * trace - count * normaliser + np.log(grid)
@@ -261,13 +261,13 @@ def test_draws_do_not_depend_on_the_number_of_threads(monkeypatch, n_nodes, n_ch
     graph = data_gen.random_graph(n_nodes, 0.5 if n_nodes < 100 else 0.02, rng=0)
     p = data_gen.perturb(data_gen.planted(n_nodes, n, graph, rng=0), 0.1, 1)
     start, shares = so.random_uniform(n, (n_chains, n_nodes), rng=2), []
-    plain = _crew.Crew.share
+    plain = thread_pool.Crew.share
 
     def counted(crew, work, count):
         shares.append((crew.size, count))
         plain(crew, work, count)
 
-    monkeypatch.setattr(_crew.Crew, "share", counted)
+    monkeypatch.setattr(thread_pool.Crew, "share", counted)
     draws = []
     for threads in (1, 3):
         monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
@@ -292,7 +292,7 @@ def test_ctrl_c_in_a_shared_step_waits_for_the_other_thread(monkeypatch):
         finished.append(last)
 
     with pytest.raises(KeyboardInterrupt):
-        _crew.Crew().share(work, 10)
+        thread_pool.Crew().share(work, 10)
     assert finished == [10]
 
 
@@ -300,7 +300,7 @@ def test_ctrl_c_in_a_shared_step_returns_the_draws_so_far(monkeypatch):
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
     p = data_gen.perturb(data_gen.planted(24, 20, rng=0), 0.1, 1)
     options = {"kappa": 5.0, "n_chains": 4, "n_draws": 6, "warmup": 0, "rng": 3, "init": "random"}
-    whole, calls, plain = fmsync.sample(p, "heat-bath", **options), [], _crew.Crew.share
+    whole, calls, plain = fmsync.sample(p, "heat-bath", **options), [], thread_pool.Crew.share
 
     def interrupted(crew, work, count):
         calls.append(count)
@@ -308,7 +308,7 @@ def test_ctrl_c_in_a_shared_step_returns_the_draws_so_far(monkeypatch):
         if len(calls) == 4:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(_crew.Crew, "share", interrupted)
+    monkeypatch.setattr(thread_pool.Crew, "share", interrupted)
     post = fmsync.sample(p, "heat-bath", **options)
     assert post.interrupted
     np.testing.assert_array_equal(post.absolute, whole.absolute[:, :3])

@@ -3,7 +3,7 @@ import pytest
 from scipy.linalg import expm
 
 from fmsync import so
-from fmsync.samplers import _kernels
+from fmsync.samplers import langevin_kernels
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 0.05, 0.1, 0.3, 1.0, 10.0])
@@ -13,7 +13,7 @@ def test_rotate_agrees_with_scipy(scale, n):
     omega = scale * so.skew(rng.standard_normal((5, n, n)))
     start = so.random_uniform(n, 5, rng)
     moved = start.copy()
-    _kernels.rotate(moved, omega)
+    langevin_kernels.rotate(moved, omega)
     np.testing.assert_allclose(moved, start @ expm(omega), atol=1e-12)
 
 
@@ -26,12 +26,12 @@ def test_langevin_tangents_agree_with_the_formula():
     expected = 2 * drift[:, None, None] * so.skew(so.transpose(c) @ sums) + spread[:, None, None] * (
         w - so.transpose(w)
     )
-    np.testing.assert_allclose(_kernels.langevin_tangents(c, sums, noise, drift, spread), expected, atol=1e-14)
+    np.testing.assert_allclose(langevin_kernels.langevin_tangents(c, sums, noise, drift, spread), expected, atol=1e-14)
 
 
 def test_polish_squares_the_distance_from_the_group():
     rng = np.random.default_rng(2)
     rough = so.random_uniform(6, 4, rng) + 1e-5 * rng.standard_normal((4, 6, 6))
-    polished = _kernels.polish(rough)
+    polished = langevin_kernels.polish(rough)
     assert np.abs(so.transpose(polished) @ polished - np.eye(6)).max() < 1e-8
     assert np.abs(polished - so.project(rough)).max() < 1e-8

@@ -7,8 +7,8 @@ from scipy.special import iv
 import bench.peers  # noqa: F401  registers the peers
 import data_gen
 import fmsync
-from fmsync import problem as energies
 from fmsync import so
+from fmsync.energy import gradient
 from fmsync.estimators.mle_unconstrained import precision
 from fmsync.samplers.rlfm import default_step
 
@@ -76,7 +76,7 @@ def test_stein_identity(retraction, two_way):
         squares = []
 
         def record(draw, state, energy):
-            squares.append(((kappa / 2 * energies.gradient(p, state)) ** 2).sum((1, 2, 3)))
+            squares.append(((kappa / 2 * gradient(p, state)) ** 2).sum((1, 2, 3)))
 
         post = fmsync.sample(
             p,

@@ -25,7 +25,7 @@ def test_shapes_and_settings(problem, post):
     assert (post.kappa == 2.0).all()
     assert (post.n_chains, post.n_draws, post.interrupted) == (3, 40, False)
     assert post.settings["warmup"] == 20
-    np.testing.assert_allclose(post.energy, fmsync.problem.energy(problem, post.absolute))
+    np.testing.assert_allclose(post.energy, fmsync.energy.energy(problem, post.absolute))
 
 
 def test_same_seed_same_draws(problem, post):

@@ -38,7 +38,7 @@ def test_the_modes_are_crossed(n, base):
     assert post.settings["trips"] > 20
     assert post.settings["swaps"] > 0.1
     assert (post.kappa == KAPPA).all()
-    np.testing.assert_allclose(post.energy, fmsync.problem.energy(p, post.absolute), atol=1e-8)
+    np.testing.assert_allclose(post.energy, fmsync.energy.energy(p, post.absolute), atol=1e-8)
 
 
 @pytest.mark.parametrize("n", [2, 3])

@@ -1,0 +1,140 @@
+r"""Energies of absolute maps on the graph of a problem, their gradients and the Hessian.
+
+Gradients live in the body frame: the tangent vector at C_j is :math:`C_j\,g_j` with g_j skew-symmetric. All energies
+accept leading batch axes, e.g. chains.
+"""
+
+import numba
+import numpy as np
+
+from fmsync import so
+from fmsync.problem import SyncProblem, relative_maps
+from fmsync.so import skew, sym, transpose
+
+_EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
+
+
+def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""S_j (..., N, n, n), the weighted sum of what every neighbour says about C_j.
+
+    .. math:: S_j = \sum_{(i,j)\in E} w\,C_i C_{ij} + \sum_{(j,k)\in E} w\,C_k C_{jk}^\top
+
+    One dense product for well-filled graphs, one product per node for sparse ones. Blocks C_j may also be
+    (m, n): then the sums are the product of the connection matrix with m vectors.
+    """
+    if problem.is_dense:
+        n_nodes, rows, n = c.shape[-3:]
+        flat = c.reshape(-1, n_nodes, rows, n)
+        stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
+        sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
+        return np.ascontiguousarray(sums).reshape(c.shape)
+    return np.ascontiguousarray(transpose(sparse_sums(problem, transpose(c))))
+
+
+def sparse_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
+    r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`, along the edges.
+
+    In the precision of ``blocks``, for which ``maps`` are the observations (by default the problem's, in double).
+    """
+    n_nodes, n, rows = blocks.shape[-3:]
+    flat = np.ascontiguousarray(blocks).reshape(-1, n_nodes, n, rows)
+    sums = np.zeros_like(flat)
+    maps = problem.maps if maps is None else maps
+    _sparse_sums(flat, maps, problem.weights.astype(maps.dtype), *problem.incidence, sums)
+    return sums.reshape(blocks.shape)
+
+
+@numba.njit(cache=True)
+def _sparse_sums(blocks, maps, weights, start, edge, other, forward, sums):
+    """One product per node, direction and 32 of its edges, whose maps and blocks are gathered in long strides.
+
+    Maps of edges that come in stand on top of each other and count transposed, those of edges that go out side by side.
+    """
+    n, rows = blocks.shape[2:]
+    maps_gathered, blocks_gathered = np.empty(32 * n * n, blocks.dtype), np.empty((32 * n, rows), blocks.dtype)
+    for node in range(blocks.shape[1]):
+        first = start[node]
+        while first < start[node + 1]:
+            incoming = forward[first]
+            last = first + 1
+            while last < min(start[node + 1], first + 32) and forward[last] == incoming:
+                last += 1
+            height = (last - first) * n
+            wide = maps_gathered[: n * height].reshape(n, height)
+            tall = maps_gathered[: n * height].reshape(height, n)
+            for t in range(last - first):
+                observation = maps[edge[first + t]]
+                if incoming:
+                    for a in range(n):
+                        for b in range(n):
+                            tall[t * n + a, b] = observation[a, b]
+                else:
+                    for a in range(n):
+                        for b in range(n):
+                            wide[a, t * n + b] = observation[a, b]
+            for k in range(blocks.shape[0]):
+                for t in range(last - first):
+                    weight, neighbour = weights[edge[first + t]], blocks[k, other[first + t]]
+                    for a in range(n):
+                        for b in range(rows):
+                            blocks_gathered[t * n + a, b] = weight * neighbour[a, b]
+                if incoming:
+                    sums[k, node] += np.dot(tall.T, blocks_gathered[:height])
+                else:
+                    sums[k, node] += np.dot(wide, blocks_gathered[:height])
+            first = last
+
+
+def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
+    total = np.zeros(c.shape[:-3])
+    for first in range(0, problem.n_edges, _EDGES_AT_ONCE):
+        part = slice(first, first + _EDGES_AT_ONCE)
+        residual = relative_maps(c, problem.edges[part]) - problem.maps[part]
+        total += (problem.weights[part] * np.einsum("...ab,...ab->...", residual, residual)).sum(-1)
+    return total[()]
+
+
+def gradient(problem: SyncProblem, c: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
+    r"""Body-frame gradient of ``energy``: :math:`g_j = -2\,\mathrm{skew}(C_j^\top S_j)`, (..., N, n, n)."""
+    sums = neighbour_sums(problem, c) if sums is None else sums
+    return -2 * skew(transpose(c) @ sums)
+
+
+def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
+    r"""Riemannian Hessian of ``energy`` along skew Ω: :math:`-2\,\mathrm{skew}(C_j^\top\dot S_j - \Omega_j\,\mathrm{sym}(C_j^\top S_j))`.
+
+    Ṡ is S at the variation CΩ.
+    """  # noqa: E501
+    sums = neighbour_sums(problem, c) if sums is None else sums
+    moving = neighbour_sums(problem, c @ omega)
+    return -2 * skew(transpose(c) @ moving - omega @ sym(transpose(c) @ sums))
+
+
+def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` (maps are rotations)."""
+    return (problem.weights * so.dist(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
+
+
+def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""Body-frame gradient of ``geodesic_energy``, (..., N, n, n).
+
+    With :math:`A = C_i^\top C_j` and :math:`\Lambda = \log(C_{ij}^\top A)` an edge adds 2wΛ to g_j and
+    :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
+    """
+    relative = relative_maps(c, problem.edges)
+    pull = 2 * problem.weights[:, None, None] * so.log(transpose(problem.maps) @ relative)  # (..., E, n, n)
+    push = relative @ pull @ transpose(relative)
+    g = np.zeros(c.shape)
+    i, j = problem.edges.T
+    nodes_first = np.moveaxis(g, -3, 0)
+    np.add.at(nodes_first, j, np.moveaxis(pull, -3, 0))
+    np.subtract.at(nodes_first, i, np.moveaxis(push, -3, 0))
+    return g
+
+
+def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r""":math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` for arbitrary matrices C_i; equals ``energy`` on rotations."""
+    i, j = problem.edges.T
+    residual = c[..., i, :, :] @ problem.maps - c[..., j, :, :]
+    return (problem.weights * (residual**2).sum((-2, -1))).sum(-1)

@@ -1,0 +1,306 @@
+r"""Rectangular synchronization: shapes with bases of different sizes, absolute maps on Stiefel manifolds.
+
+Shape i has n_i basis functions and an absolute map C_i (m, n_i) with orthonormal columns into a universe of size
+m >= max n_i; an edge observes :math:`C_{ij} = C_i^\top C_j` (n_i, n_j). Unlike for square maps
+:math:`\lVert C_i^\top C_j\rVert` is not constant, the energy keeps its quartic term, and neither the linear shortcuts
+nor the certificate of the square case apply.
+
+Inside, blocks are padded with zero columns to a common width, so that everything is batched.
+"""
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import eigh
+from scipy.sparse.linalg import eigsh
+
+from fmsync.estimators.base import Callback, Trace
+from fmsync.estimators.trust_region import Point, minimise
+from fmsync.problem import validated_edges
+from fmsync.so import sym, transpose
+from fmsync.threads import single_threaded_blas
+
+_DENSE_UP_TO = 1000  # matrix size
+
+
+@dataclass(frozen=True, eq=False)
+class RectangularSyncProblem:
+    """Observed maps of unequal sizes on the edges of a connected graph.
+
+    Parameters
+    ----------
+    n_nodes
+        Number of shapes N >= 2.
+    edges
+        (E, 2) integers; edge (i, j) observes a map from shape j to shape i.
+    maps
+        E arrays (n_i, n_j); the sizes n_i are read off them.
+    weights
+        (E,) positive; ones by default.
+
+    Raises
+    ------
+    ValueError
+        Naming the edge: sizes that disagree, maps that are not finite or not matrices, and whatever
+        :class:`fmsync.SyncProblem` refuses.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
+    >>> p.sizes
+    array([4, 3, 5])
+    """
+
+    n_nodes: int
+    edges: np.ndarray
+    maps: Sequence[np.ndarray]
+    weights: np.ndarray | None = None
+
+    def __post_init__(self):
+        edges = validated_edges(self.n_nodes, self.edges)
+        maps = tuple(np.array(observed, dtype=float) for observed in self.maps)
+        if len(maps) != len(edges):
+            raise ValueError(f"maps: {len(maps)} maps for {len(edges)} edges; give one map per edge")
+        weights = np.ones(len(edges)) if self.weights is None else np.array(self.weights, dtype=float)
+        if weights.shape != (len(edges),):
+            raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
+        sizes, first = np.zeros(self.n_nodes, dtype=np.int64), np.zeros(self.n_nodes, dtype=np.int64)
+        for e, ((i, j), observed, weight) in enumerate(zip(edges.tolist(), maps, weights)):
+            name = f"edge {e} ({i}, {j})"
+            if observed.ndim != 2 or 0 in observed.shape:
+                raise ValueError(f"maps: {name} has shape {observed.shape}; expected a matrix (n_i, n_j)")
+            if not np.isfinite(observed).all():
+                raise ValueError(f"maps: {name} holds NaN or infinity")
+            if not (weight > 0 and np.isfinite(weight)):
+                raise ValueError(f"weights: {name} has weight {weight}; must be > 0")
+            for node, size in zip((i, j), observed.shape):
+                if sizes[node] == 0:
+                    sizes[node], first[node] = size, e
+                elif sizes[node] != size:
+                    raise ValueError(
+                        f"maps: {name} gives node {node} {size} basis functions, edge {first[node]} gave it "
+                        f"{sizes[node]}; use one basis per shape"
+                    )
+            observed.setflags(write=False)
+        for name, value in (("edges", edges), ("maps", maps), ("weights", weights), ("sizes", sizes)):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def padded(self) -> np.ndarray:
+        """(E, k, k) the maps with zeros around them, k = max n_i."""
+        k = int(self.sizes.max())
+        padded = np.zeros((len(self.maps), k, k))
+        for e, observed in enumerate(self.maps):
+            padded[e, : observed.shape[0], : observed.shape[1]] = observed
+        return padded
+
+    @cached_property
+    def degrees(self) -> np.ndarray:
+        """(N,) sum of the weights of the edges at every node."""
+        return np.bincount(self.edges.ravel(), np.repeat(self.weights, 2), minlength=self.n_nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class RectangularEstimate:
+    """A point answer: ``absolute`` holds N arrays (m, n_i) with orthonormal columns, the first of them [I; 0]."""
+
+    problem: RectangularSyncProblem
+    absolute: tuple[np.ndarray, ...]
+    cost: float
+    n_iterations: int
+    converged: bool
+    trace: Trace
+
+    def relative(self, edges: np.ndarray | None = None) -> list[np.ndarray]:
+        r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own."""
+        edges = self.problem.edges if edges is None else np.asarray(edges)
+        return [self.absolute[i].T @ self.absolute[j] for i, j in edges]
+
+
+def solve_rectangular(
+    problem: RectangularSyncProblem,
+    universe: int | None = None,
+    *,
+    init: str | Sequence[np.ndarray] = "spectral",
+    rng: int | np.random.Generator = 0,
+    callback: Callback | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+) -> RectangularEstimate:
+    r"""Minimise :math:`\sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2` over maps with orthonormal columns.
+
+    Trust regions on the product of the Stiefel manifolds St(m, n_i), from the leading eigenvectors of the connection
+    matrix.
+
+    Parameters
+    ----------
+    problem
+        Observed maps.
+    universe
+        m; the largest n_i by default, which presumes that one shape sees everything.
+    init
+        ``"spectral"``, ``"random"``, or N arrays (m, n_i) with orthonormal columns.
+    rng
+        Seed or generator of the start.
+    callback
+        As in :func:`fmsync.solve`; absolute maps come padded with zero columns, (N, m, max n_i).
+    tolerance, max_iterations
+        As in ``"mle"``.
+
+    Returns
+    -------
+    RectangularEstimate
+
+    Warns
+    -----
+    RuntimeWarning
+        The tolerance was not met.
+
+    Raises
+    ------
+    ValueError
+        A universe smaller than a shape, an unknown or ill-shaped start.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
+    >>> bool(fmsync.solve_rectangular(p).cost < 1e-12)
+    True
+    """
+    largest = int(problem.sizes.max())
+    m = largest if universe is None else int(universe)
+    if m < largest:
+        node = int(problem.sizes.argmax())
+        raise ValueError(f"universe: {m} is smaller than the {largest} basis functions of node {node}")
+    generator = np.random.default_rng(rng)
+    with single_threaded_blas():
+        model = Frames(problem, m)
+        start = _starting_frames(problem, m, init, generator)
+        absolute, converged, trace = minimise(
+            model,
+            start,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            callback=callback or (lambda *_: None),
+        )
+    if not converged:
+        message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+    gauge = _basis(absolute[0][:, : problem.sizes[0]])
+    absolute = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
+    return RectangularEstimate(problem, absolute, float(trace.cost[-1]), len(trace.cost) - 1, converged, trace)
+
+
+class Frames:
+    """The energy on St(m, n_1) x ... x St(m, n_N), padded to (N, m, k): what the trust regions ask of a model.
+
+    Tangent arrays are ambient: V with :math:`C_i^\\top V_i` skew-symmetric and zero columns past n_i.
+    """
+
+    def __init__(self, problem: RectangularSyncProblem, m: int):
+        self._problem = problem
+        k = problem.padded.shape[-1]
+        self._absent = np.arange(k) >= problem.sizes[:, None]  # (N, k)
+        sizes = problem.sizes
+        self.dimension = int((m * sizes - sizes * (sizes + 1) // 2).sum())
+        self.diameter = float(np.sqrt(sizes.sum()))
+        self.magnitude = max(1.0, float(problem.weights @ (k + (problem.padded**2).sum((1, 2)))))
+
+    def evaluate(self, absolute: np.ndarray) -> Point:
+        i, j = self._problem.edges.T
+        residual = transpose(absolute[i]) @ absolute[j] - self._problem.padded
+        weighted = self._problem.weights[:, None, None] * residual
+        ambient = self._spread(absolute, weighted)
+        curvature = sym(transpose(absolute) @ ambient)
+        return Point(
+            absolute, float(np.vdot(weighted, residual)), ambient - absolute @ curvature, (weighted, curvature)
+        )
+
+    def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
+        (i, j), c = self._problem.edges.T, point.absolute
+        weighted, curvature = point.extra
+        moving = transpose(direction[i]) @ c[j] + transpose(c[i]) @ direction[j]
+        moving *= self._problem.weights[:, None, None]
+        ambient = self._spread(direction, weighted) + self._spread(c, moving) - direction @ curvature
+        return ambient - c @ sym(transpose(c) @ ambient)
+
+    def preconditioner(self, point: Point) -> np.ndarray:
+        return 1 / (2 * self._problem.degrees)[:, None, None]
+
+    def retract(self, point: Point, step: np.ndarray) -> np.ndarray:
+        """The polar factor of C + V; its Gram matrix is I + VᵀV, and 1 is put where a padded column has 0."""
+        moved = point.absolute + step
+        gram = transpose(moved) @ moved
+        gram[:, np.arange(gram.shape[-1]), np.arange(gram.shape[-1])] += self._absent
+        values, axes = np.linalg.eigh(gram)
+        return moved @ ((axes / np.sqrt(values)[:, None, :]) @ transpose(axes))
+
+    def _spread(self, c: np.ndarray, weighted: np.ndarray) -> np.ndarray:
+        """2 Σ C_i D_ij at every head j and 2 Σ C_j D_ijᵀ at every tail i."""
+        i, j = self._problem.edges.T
+        total = np.zeros_like(c)
+        np.add.at(total, j, 2 * c[i] @ weighted)
+        np.add.at(total, i, 2 * c[j] @ transpose(weighted))
+        return total
+
+
+def _starting_frames(problem, m, init, rng) -> np.ndarray:
+    """Orthonormal columns (N, m, k), zero past n_i."""
+    k = int(problem.sizes.max())
+    start = np.zeros((problem.n_nodes, m, k))
+    if isinstance(init, str):
+        if init not in ("spectral", "random"):
+            raise ValueError(f"init: 'spectral', 'random' or one frame per node, not {init!r}")
+        rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
+        for node, size in enumerate(problem.sizes):
+            block = rng.standard_normal((m, size)) if rows is None else rows[node].T
+            u, _, vt = np.linalg.svd(block, full_matrices=False)
+            start[node, :, :size] = u @ vt
+        return start
+    if len(init) != problem.n_nodes:
+        raise ValueError(f"init: {len(init)} frames for {problem.n_nodes} nodes")
+    for node, (size, frame) in enumerate(zip(problem.sizes, init)):
+        frame = np.asarray(frame, dtype=float)
+        if frame.shape != (m, size):
+            raise ValueError(f"init: node {node} needs a frame {(m, int(size))}, got {frame.shape}")
+        if not np.abs(frame.T @ frame - np.eye(size)).max() < 1e-6:
+            raise ValueError(f"init: the columns of node {node} are not orthonormal")
+        start[node, :, :size] = frame
+    return start
+
+
+def _eigenvector_rows(problem: RectangularSyncProblem, m: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """N blocks (n_i, m) of the leading eigenvectors, scaled by the roots of their eigenvalues.
+
+    On a complete graph the matrix of all C_iᵀC_j, diagonal included, is exactly UUᵀ, U the stack of the C_iᵀ; the
+    scaled eigenvectors are U in another frame. On other graphs degrees stand in for what is not observed.
+    """
+    offset = np.concatenate([[0], np.cumsum(problem.sizes)])
+    scale = np.repeat((problem.degrees + 1) ** -0.5, problem.sizes)
+    matrix = sp.lil_matrix((offset[-1], offset[-1]))
+    for (i, j), weight, observed in zip(problem.edges, problem.weights, problem.maps):
+        matrix[offset[i] : offset[i + 1], offset[j] : offset[j + 1]] += weight * observed
+    matrix = matrix.tocsr()
+    matrix = sp.diags(scale) @ (matrix + matrix.T + sp.eye(offset[-1])) @ sp.diags(scale)
+    size = offset[-1]
+    if size <= max(_DENSE_UP_TO, 2 * m):
+        values, vectors = eigh(matrix.toarray(), subset_by_index=[size - m, size - 1])
+    else:
+        values, vectors = eigsh(matrix, k=m, which="LA", v0=rng.standard_normal(size))
+    stack = vectors * np.sqrt(np.maximum(values, 0)) / scale[:, None]
+    return [stack[a:b] for a, b in itertools.pairwise(offset)]
+
+
+def _basis(frame: np.ndarray) -> np.ndarray:
+    """(m, m) orthogonal matrix whose first columns are the frame."""
+    u, _, _ = np.linalg.svd(frame)
+    return np.concatenate([frame, u[:, frame.shape[1] :]], axis=1)

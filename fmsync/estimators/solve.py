@@ -1,0 +1,109 @@
+"""Estimate the absolute maps of a problem by any estimator, from one start or several."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
+from fmsync.problem import SyncProblem
+from fmsync.threads import single_threaded_blas
+
+_FAR = 0.5  # distortion of a map above which its user is warned; a map with a quarter of its rank missing has it
+
+
+def solve(
+    problem: SyncProblem,
+    method: str = "mle",
+    *,
+    rng: int | np.random.Generator = 0,
+    callback: Callback | None = None,
+    restarts: int | None = None,
+    **options,
+) -> Estimate:
+    """Estimate the absolute maps of a problem; BLAS runs single-threaded meanwhile, which small products like.
+
+    Parameters
+    ----------
+    problem
+        What was observed.
+    method
+        A name of :func:`methods`.
+    rng
+        Seed or generator: same seed, same answer.
+    callback
+        Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each accepted step of an
+        iterative method; direct methods call it once.
+    restarts
+        Number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest answer is
+        returned, and its ``n_agreeing`` counts the starts that came to its cost.
+    options
+        Passed to the estimator; an unknown option is refused with the list of known ones.
+
+    Returns
+    -------
+    Estimate
+
+    Warns
+    -----
+    RuntimeWarning
+        The method stopped before its tolerance was met; ``converged`` is then False.
+    UserWarning
+        Maps far from orthogonal met a method that answers with rotations; names the worst edge.
+
+    Raises
+    ------
+    ValueError
+        Unknown method or option.
+
+    Examples
+    --------
+    >>> import numpy as np, fmsync
+    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    >>> fmsync.solve(p, "mle").cost < 1e-20
+    True
+    """
+    function, known = ESTIMATORS.find(method, options)
+    generator = np.random.default_rng(rng)
+    if restarts is not None:
+        if "init" not in known:
+            raise ValueError(f"restarts: {method!r} has no starting point to vary; leave restarts out")
+        return best_of_starts(problem, method, restarts, generator, callback=callback, **options)
+    with single_threaded_blas():
+        estimate = function(problem, rng=generator, callback=callback or _nothing, **options)
+    if not estimate.converged:
+        left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
+        message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+    worst = int(np.argmax(problem.distortion))
+    if estimate.on_group and problem.distortion[worst] > _FAR:
+        edge = tuple(problem.edges[worst].tolist())
+        message = (
+            f"maps: edge {worst} {edge} is far from orthogonal (‖CᵀC - I‖/√n = {problem.distortion[worst]:.2g}); "
+            "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
+        )
+        warnings.warn(message, UserWarning, stacklevel=2)
+    return estimate
+
+
+def best_of_starts(problem: SyncProblem, method: str, restarts: int, rng: np.random.Generator, **options) -> Estimate:
+    """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
+
+    What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came
+    to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
+    proof of local ones.
+    """
+    if isinstance(restarts, bool) or int(restarts) != restarts or restarts < 1:
+        raise ValueError(f"restarts: need a whole number of starts >= 1, got {restarts}")
+    inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
+    answers = [
+        solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))
+        for init, stream in zip(inits, rng.spawn(restarts))
+    ]
+    best = min(answers, key=lambda answer: answer.cost)
+    slack = 1e-6 * max(1.0, abs(best.cost))
+    return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
+
+
+def _nothing(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
+    """The callback of a caller who gave none."""

@@ -1,0 +1,60 @@
+"""Where iterative estimators begin."""
+
+import numpy as np
+
+from fmsync import so
+from fmsync.energy import neighbour_sums
+from fmsync.estimators.base import Estimate
+from fmsync.estimators.groups import check_group, nearest
+from fmsync.estimators.spectral import spectral_maps
+from fmsync.problem import SyncProblem, check_rotations
+
+_ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+
+
+def starting_point(
+    problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator, group: str = "SO"
+) -> np.ndarray:
+    """Members of the group (N, n, n) to start from.
+
+    "spectral", "random" (Haar), given maps, or an earlier estimate: of this problem, or of one that had only the first
+    few of its nodes. Nodes that are new to it start at what their known neighbours say.
+    """
+    check_group(group)
+    n_nodes, n = problem.n_nodes, problem.n
+    if isinstance(init, str):
+        if init == "random":
+            absolute = so.random_uniform(n, n_nodes, rng)
+            if group == "O":
+                absolute[..., 0] *= rng.choice([-1.0, 1.0], size=(n_nodes, 1))
+            return absolute
+        if init == "spectral":
+            return spectral_maps(problem, rng, group, _ROUGH)
+        raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
+    if isinstance(init, Estimate):
+        known = nearest(init.absolute, group)
+        if known.shape[1:] == (n, n) and len(known) < n_nodes:
+            return _grown(problem, known, group)
+    else:
+        known = np.array(init, dtype=float)
+    if known.shape != (n_nodes, n, n):
+        raise ValueError(f"init: expected {(n_nodes, n, n)}, got {known.shape}")
+    if group == "SO":
+        check_rotations(known, "init")
+    return nearest(known, group)
+
+
+def _grown(problem: SyncProblem, known: np.ndarray, group: str) -> np.ndarray:
+    """(N, n, n): known maps first; the others, outwards along the edges, nearest to the sum over known neighbours."""
+    absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
+    absolute[: len(known)] = known
+    settled = np.arange(problem.n_nodes) < len(known)
+    tail, head = problem.edges.T
+    while not settled.all():
+        reached = np.zeros_like(settled)
+        reached[head[settled[tail]]] = True
+        reached[tail[settled[head]]] = True
+        reached &= ~settled
+        absolute[reached] = nearest(neighbour_sums(problem, absolute)[reached], group)
+        settled |= reached
+    return absolute

@@ -1,0 +1,44 @@
+"""What to doubt in an answer, in words for somebody who has never heard of a Markov chain."""
+
+import numpy as np
+
+from fmsync import diagnostics
+from fmsync.matching.synchronize import SyncedShapes
+
+_RHAT, _ESS = 1.01, 400
+
+
+def doubts(synced: SyncedShapes) -> list[str]:
+    """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
+
+    Watches the energy and the concentration of the chains, and the edges that contradict the rest.
+    """
+    said = []
+    if synced.posterior is not None:
+        watched = [synced.posterior.energy, synced.posterior.kappa]
+        varying = [x for x in watched if np.ptp(x) > 0]
+        apart = max((diagnostics.rhat(x) for x in varying), default=np.nan)
+        effective = min((diagnostics.ess(x) for x in varying), default=np.nan)
+        if not np.isfinite(apart):
+            said.append("There are too few posterior draws to tell whether the chains agree: ask for 1000 or more.")
+        elif apart > _RHAT:
+            said.append(
+                f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
+                "do not rely on the regions; ask for more draws."
+            )
+        if np.isfinite(effective) and effective < _ESS:
+            said.append(
+                f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
+                "the regions are rough; ask for more draws."
+            )
+    pairs = [f"{synced.names[i]}–{synced.names[j]}" for i, j in synced.edges[synced.violating]]
+    if pairs:
+        said.append(
+            f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."
+        )
+    if len(synced.edges) < len(synced.shapes):
+        said.append(
+            "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
+            "use a graph with more pairs."
+        )
+    return said

@@ -1,0 +1,109 @@
+r"""Functions that all shapes of a collection share, from maps that need be neither consistent nor orthogonal.
+
+Latent functions of a collection are what every map carries over: columns :math:`Y_i` of coefficients on every shape
+with :math:`C_{ij} Y_j \approx Y_i` (Wang et al. 2013). Unlike members of a group they may leave out directions that the
+shapes do not share, such as half of a pair of eigenfunctions that the cut at n separates, and they need no signs.
+Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020).
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import eigh
+from scipy.sparse.linalg import eigsh
+
+from fmsync.functional_maps import nearest_rows
+from fmsync.matching.samples import SampledShape
+from fmsync.so import transpose
+from fmsync.threads import single_threaded_blas
+
+_SHARED = 0.9  # of the directions are kept, the most consistent ones
+_DENSE_UP_TO = 4000  # matrix size
+_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step, and steps at the final size
+
+
+def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    r"""Maps :math:`Y_i^\top` (N, M, k) from every shape to the M = 0.9 k directions on which maps (E, k, k) agree best.
+
+    Minimises :math:`\sum w_{ij}\lVert C_{ij} Y_j - Y_i\rVert^2 + w_{ij}\lVert C_{ij}^\top Y_i - Y_j\rVert^2` where
+    :math:`\sum d_i Y_i^\top Y_i = \bar d N I`, by eigenvectors. Weights fall with the distance of a map from orthogonal
+    ones, :math:`1/\lVert C^\top C - I\rVert^2`, and d sums them at every shape.
+
+    Parameters
+    ----------
+    n_shapes
+        Number of shapes N.
+    edges, maps
+        (E, 2) pairs of a connected graph and (E, k, k) maps from j to i.
+
+    Examples
+    --------
+    >>> turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    >>> y = latent_maps(3, np.array([[0, 1], [1, 2], [0, 2]]), np.array([turn, turn, turn @ turn]))
+    >>> bool(np.allclose(y[0].T @ y[2], turn @ turn))
+    True
+    """
+    k = maps.shape[-1]
+    squares = transpose(maps) @ maps, maps @ transpose(maps)  # C^T C and C C^T
+    weights = 1 / np.maximum(((squares[0] - np.eye(k)) ** 2).sum((1, 2)), 1e-9)
+    degrees = np.bincount(edges.ravel(), np.repeat(weights, 2), minlength=n_shapes)
+    first, second = edges.T
+    diagonal = degrees[:, None, None] * np.eye(k)
+    np.add.at(diagonal, first, weights[:, None, None] * squares[1])
+    np.add.at(diagonal, second, weights[:, None, None] * squares[0])
+    links = -2 * weights[:, None, None] * maps
+    rows = np.concatenate([np.arange(n_shapes), first, second])
+    columns = np.concatenate([np.arange(n_shapes), second, first])
+    blocks = np.concatenate([diagonal, links, transpose(links)])
+    blocks /= 2 * np.sqrt(degrees[rows] * degrees[columns])[:, None, None]
+    size = n_shapes * k
+    shared = max(1, round(_SHARED * k))
+    if size <= _DENSE_UP_TO:
+        matrix = np.zeros((n_shapes, k, n_shapes, k))
+        matrix[rows, :, columns] = blocks  # every pair stands once
+        vectors = eigh(matrix.reshape(size, size), subset_by_index=[0, shared - 1])[1]
+    else:
+        order = np.lexsort((columns, rows))
+        starts = np.searchsorted(rows[order], np.arange(n_shapes + 1))
+        matrix = sp.bsr_array((blocks[order], columns[order], starts), shape=(size, size))
+        start = np.random.default_rng(0).standard_normal(size)  # the answer does not depend on it
+        vectors = eigsh(2 * sp.eye_array(size) - matrix, shared, which="LA", v0=start, tol=1e-4)[1]
+    scale = np.sqrt(degrees.mean() * n_shapes / degrees)
+    return transpose(vectors.reshape(n_shapes, k, shared)) * scale[:, None, None]
+
+
+def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray, sizes: Iterable[int]) -> np.ndarray:
+    """Latent maps (N, M, m) with orthonormal rows, m the last of ``sizes``, from maps (E, k, k) of the pairs.
+
+    At every size points are matched by latent functions, in both directions, and the direction whose least-squares map
+    is nearer to orthogonal stands for the pair (Huang et al. 2020). A pair's error does not grow: the next latent
+    functions are again those on which all agree. With orthonormal rows relative maps are exactly consistent.
+    """
+    with single_threaded_blas():
+        latent = latent_maps(len(shapes), edges, maps)
+        for size in sizes:
+            k = latent.shape[-1]
+            at = [s.sampled()[:, :size] for s in shapes]
+            back = [np.linalg.pinv(phi) for phi in at]
+            values = [phi[:, :k] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
+            maps = np.empty((len(edges), size, size))
+            for e, (i, j) in enumerate(edges):
+                there, again = nearest_rows(values[i], values[j]), nearest_rows(values[j], values[i])
+                maps[e] = _nearer_to_orthogonal(back[i] @ at[j][there], (back[j] @ at[i][again]).T)
+            latent = latent_maps(len(shapes), edges, maps)
+        u, _, vt = np.linalg.svd(latent, full_matrices=False)
+    return u @ vt
+
+
+def _nearer_to_orthogonal(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return min(a, b, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))
+
+
+def sizes(k: int, size: int) -> list[int]:
+    """Sizes of the maps on the way from k to ``size``."""
+    steps = []
+    while k < size:
+        k = min(size, max(k + 4, int(k * _GROWTH)))
+        steps.append(k)
+    return steps + [size] * _SETTLE

@@ -1,0 +1,121 @@
+r"""A functional map of two shapes from nothing but the shapes.
+
+Signs of the first eigenfunctions and a fit of descriptors give many rough maps; spectral upsampling (ZoomOut, Melzi et
+al. 2019) makes each of them precise or exposes it; the one that keeps geodesic distances and orientation is the answer.
+Trying many signs is the idea of MapTree (Ren et al. 2020).
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmsync.functional_maps import functional_map_from_descriptors, nearest_rows
+from fmsync.matching.samples import SampledShape
+from fmsync.shape import Basis
+from fmsync.threads import single_threaded_blas
+
+_SIGNS = 7  # first eigenfunctions whose signs are all tried: 64 maps
+_ROUGH_SAMPLES, _SAMPLES = 150, 300
+_ROUGH, FINE = 20, 50  # sizes to which candidates are upsampled before the first and the second choice
+_SURVIVORS = 6
+_ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
+
+
+@dataclass(frozen=True, eq=False)
+class PairMatch:
+    """A map from descriptors alone and how good it looks without the truth.
+
+    Attributes
+    ----------
+    c_ij
+        (m, m) functional map.
+    distortion
+        Mean absolute change of geodesic distances between samples, in square roots of the area.
+    orientation
+        Correlation in [-1, 1] with a map that keeps orientation; 0 for point clouds.
+    mirrored_distortion
+        Distortion of the best candidate that turns left into right; infinite where there was none.
+    """
+
+    c_ij: np.ndarray
+    distortion: float
+    orientation: float
+    mirrored_distortion: float = np.inf
+
+    @property
+    def cost(self) -> float:
+        """What candidates are chosen by: smaller is better."""
+        return self.distortion - _ORIENTED * self.orientation
+
+
+def match(first: SampledShape, second: SampledShape) -> PairMatch:
+    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``, judged."""
+    with single_threaded_blas():
+        top = min(FINE, first.basis.n, second.basis.n)
+        rough = min(_ROUGH, top)
+        signs = np.array([[1, *s] for s in itertools.product([1.0, -1.0], repeat=min(_SIGNS, rough) - 1)])
+        starts = [signs[:, :, None] * np.eye(signs.shape[1]), _fitted(first, second, rough)[None]]
+        upsampled = [zoomout(first, second, start, rough, 2, _ROUGH_SAMPLES) for start in starts]
+        maps, images = (np.concatenate(part) for part in zip(*upsampled))
+        distortion, orientation, missed = quality(first, second, maps, images)
+        best = np.argsort(distortion - _ORIENTED * orientation + missed, kind="stable")[:_SURVIVORS]
+        maps, images = zoomout(first, second, maps[best], top, 6, _SAMPLES)
+        distortion, orientation, missed = quality(first, second, maps, images)
+    k = int(np.argmin(distortion - _ORIENTED * orientation + missed))
+    turned = distortion[orientation < 0]
+    return PairMatch(
+        maps[k], float(distortion[k]), float(orientation[k]), float(turned.min()) if len(turned) else np.inf
+    )
+
+
+def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray) -> PairMatch:
+    """A proposed map upsampled and judged like the candidates of :func:`match`."""
+    with single_threaded_blas():
+        top = min(FINE, first.basis.n, second.basis.n)
+        maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES)
+        distortion, orientation, _ = quality(first, second, maps, images)
+    return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
+
+
+def zoomout(
+    first: SampledShape, second: SampledShape, maps: np.ndarray, size: int, step: int, n_samples: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Upsample maps (R, k, k) to (R, size, size) on samples; also the sample of j for each sample of i, (R, S).
+
+    Alternates the point map of a map and the least-squares map, ``step`` functions larger, of that point map.
+    """
+    at_i, at_j = first.sampled(n_samples), second.sampled(n_samples)
+    while True:
+        k = maps.shape[-1]
+        moved = (at_i[:, :k] @ maps).reshape(-1, k)
+        images = nearest_rows(moved, at_j[:, :k]).reshape(len(maps), -1)  # (R, S)
+        if k >= size:
+            return maps, images
+        k = min(k + step, size)
+        maps = np.linalg.pinv(at_i[:, :k]) @ at_j[images][..., :k]
+
+
+def quality(
+    first: SampledShape, second: SampledShape, maps: np.ndarray, images: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Geodesic distortion, orientation and distance of landmarks from their images, each (R,), of (R, k, k) maps."""
+    size = images.shape[1]
+    before = first.geodesics[:size, :size]
+    distortion = np.array([np.abs(before - second.geodesics[np.ix_(p, p)]).mean() for p in images])
+    marks = np.arange(first.n_landmarks)
+    missed = second.geodesics[images[:, marks], marks].mean(axis=1) if len(marks) else np.zeros(len(maps))
+    if first.orientation is None or second.orientation is None:
+        return distortion, np.zeros(len(maps)), missed
+    n = min(maps.shape[-1], first.orientation.shape[-1])
+    u, _, vt = np.linalg.svd(maps[:, None, :n, :n])
+    rotations = u @ vt  # (R, 1, n, n)
+    left, right = first.orientation[:, :n, :n] @ rotations, rotations @ second.orientation[:, :n, :n]
+    scale = np.sqrt((left**2).sum((1, 2, 3)) * (right**2).sum((1, 2, 3)))
+    return distortion, (left * right).sum((1, 2, 3)) / np.maximum(scale, 1e-300), missed
+
+
+def _fitted(first: SampledShape, second: SampledShape, n: int) -> np.ndarray:
+    # the fit sees coefficients only, so an identity stands for the eigenfunctions
+    a, b = (Basis(s.basis.eigenvalues[:n], np.eye(n), np.ones(n)) for s in (first, second))
+    return functional_map_from_descriptors(a, b, first.coefficients[:n], second.coefficients[:n], commutativity=1e-2)

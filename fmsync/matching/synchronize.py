@@ -1,0 +1,372 @@
+"""From shapes to consistent maps with a confidence: the stages of the pipeline in order."""
+
+import hashlib
+import itertools
+import os
+import tempfile
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+import fmsync
+from fmsync import so
+from fmsync.estimators import Estimate
+from fmsync.functional_maps import nearest_rows
+from fmsync.matching.confidence import Confidence, confidence
+from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.pairwise import FINE, PairMatch, improve, match
+from fmsync.matching.samples import SampledShape, sample_shape
+from fmsync.matching.signs import rotation_signs
+from fmsync.problem import SyncProblem
+from fmsync.samplers import Posterior
+from fmsync.shape import Shape
+from fmsync.threads import single_threaded_blas
+
+ROUNDS = 2  # of proposing synchronised maps to the pairs
+_DRAWS_SHOWN = 100  # draws that carry vertices
+_STRANGER = 0.25  # mean change of log eigenvalues from the median shape
+_MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, median over the edges of a shape
+
+
+@dataclass(frozen=True, eq=False)
+class SyncedShapes:
+    """Shapes with consistent maps.
+
+    Attributes
+    ----------
+    shapes
+        N sampled shapes of unit area.
+    edges, matches
+        (E, 2) pairs and their maps from descriptors, after refinement.
+    signs, violating
+        (N,) ±1, and the edges whose determinant disagrees with them.
+    problem, estimate, posterior
+        The n x n synchronisation problem, its robust answer, and draws (None if none were asked for).
+    refined
+        (N, M, m) maps with orthonormal rows from the refined bases to M <= m functions that all shapes share; points
+        are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
+    """
+
+    shapes: tuple[SampledShape, ...]
+    edges: np.ndarray
+    matches: tuple[PairMatch, ...]
+    signs: np.ndarray
+    violating: np.ndarray
+    problem: SyncProblem
+    estimate: Estimate
+    posterior: Posterior | None
+    refined: np.ndarray
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the shapes."""
+        return [s.shape.name for s in self.shapes]
+
+    def functional_map(self, i: int, j: int) -> np.ndarray:
+        """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
+        return self.refined[i].T @ self.refined[j]
+
+    def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
+        return self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]] @ self.refined[i].T
+
+    def sample_images(self, i: int, j: int) -> np.ndarray:
+        """(S_i,) sample of j for each sample of i."""
+        return nearest_rows(*(self.shared_functions(k, self.shapes[k].samples) for k in (i, j)))
+
+    def point_map(self, i: int, j: int) -> np.ndarray:
+        """(V_i,) vertex of j for each vertex of i."""
+        with single_threaded_blas():
+            return nearest_rows(self.shared_functions(i), self.shared_functions(j))
+
+    def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
+        """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
+        if self.posterior is None:
+            raise ValueError("n_draws: confidence needs posterior draws; synchronise with n_draws > 0")
+        if not 0 < level < 1:
+            raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
+        first, second, draws, votes = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
+        with single_threaded_blas():
+            image = self.sample_images(i, j)
+            vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
+        return confidence(first, second, image, vertex, draws, votes, level)
+
+    def draws(self, i: int, j: int, count: int) -> np.ndarray:
+        """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
+        if self.posterior is None:
+            raise ValueError("n_draws: there are no posterior draws; synchronise with n_draws > 0")
+        flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
+        flat = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(int)]
+        turn = turns(self.signs, self.problem.n)
+        return turn[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * turn[j]
+
+    def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
+        """(T,) vertices of shape j where ``count`` posterior draws send one vertex of shape i."""
+        n = self.problem.n
+        a, b = self.shapes[i].basis.truncated(n), self.shapes[j].basis.truncated(n)
+        return fmsync.uncertainty.vertex_images(self.draws(i, j, count), a, b, vertex)
+
+    def votes(self, i: int, j: int) -> np.ndarray:
+        """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
+        observed = {}
+        for (a, b), m in zip(self.edges.tolist(), self.matches):
+            observed[a, b], observed[b, a] = m.c_ij, m.c_ij.T
+
+        def images(a, b):
+            c = observed[a, b]
+            return nearest_rows(self.shapes[a].sampled()[:, : len(c)] @ c, self.shapes[b].sampled()[:, : c.shape[1]])
+
+        with single_threaded_blas():
+            votes = [images(i, j)] if (i, j) in observed else []
+            through = [k for k in range(len(self.shapes)) if (i, k) in observed and (k, j) in observed]
+            votes += [images(k, j)[images(i, k)] for k in through]
+        return np.array(votes or [self.sample_images(i, j)])
+
+
+def synchronize_shapes(
+    shapes: Sequence[Shape],
+    *,
+    n_basis: int = 20,
+    n_refined: int = 120,
+    n_samples: int = 1000,
+    graph: str | Sequence[tuple[int, int]] = "complete",
+    n_draws: int = 1000,
+    landmarks: Sequence[Sequence[int]] | None = None,
+    jobs: int = 1,
+    checkpoint: str | Path | None = None,
+    progress: bool = False,
+    rng: int | np.random.Generator = 0,
+) -> SyncedShapes:
+    """Consistent functional maps of a collection of shapes from the shapes alone, with posterior draws.
+
+    Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
+    robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
+    with inferred concentration; larger maps through functions that all shapes share.
+
+    Parameters
+    ----------
+    shapes
+        At least two meshes or point clouds in any unit, with any numbers of vertices, each in one piece.
+    n_basis
+        Size n of the maps that are sampled.
+    n_refined
+        Size m >= n of the maps that carry points.
+    n_samples
+        Samples of each shape.
+    graph
+        ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j).
+    n_draws
+        Posterior draws, 0 for none.
+    landmarks
+        For each shape the same L vertices in the same order.
+    jobs
+        Processes of the pairwise stage, through joblib and its active backend.
+    checkpoint
+        Folder of finished pairs, which are not done again.
+    progress
+        Show a bar for each long stage.
+    rng
+        Seed or generator of estimators and sampler.
+
+    Returns
+    -------
+    SyncedShapes
+        Maps of every pair, and draws if there are.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two shapes, one in several pieces or inside out, one unlike the rest in its spectrum, a mirrored one.
+
+    Examples
+    --------
+    >>> import data_gen, fmsync
+    >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
+    >>> synced = fmsync.synchronize_shapes(cats, n_basis=10, n_refined=20, n_samples=150, n_draws=0)
+    >>> synced.point_map(0, 2).shape
+    (1000,)
+    """
+    shapes = list(shapes)
+    if len(shapes) < 2:
+        raise ValueError(f"shapes: {len(shapes)} given, correspondences need at least two")
+    if not 2 <= n_basis <= n_refined:
+        raise ValueError(f"n_basis, n_refined: need 2 <= n_basis <= n_refined, got {n_basis} and {n_refined}")
+    for shape in shapes:
+        if shape.n_vertices <= n_refined:
+            raise ValueError(
+                f"{shape.name}: {shape.n_vertices} vertices are too few for n_refined = {n_refined}; lower it"
+            )
+    _refuse_inside_out(shapes)
+    if landmarks is not None and len({len(points) for points in landmarks} | {len(landmarks[0])}) != 1:
+        raise ValueError("landmarks: give every shape the same number of vertices")
+    if landmarks is not None and len(landmarks) != len(shapes):
+        raise ValueError(f"landmarks: {len(landmarks)} lists for {len(shapes)} shapes")
+    rng = np.random.default_rng(rng)
+
+    # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
+    run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
+    marks = [None] * len(shapes) if landmarks is None else landmarks
+    tasks = (delayed(sample_shape)(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks))
+    sampled = tuple(tqdm(run(tasks), "bases", len(shapes), disable=not progress))
+    refuse_strangers(sampled)
+    edges = _edges(graph, sampled)
+    folder = None if checkpoint is None else Path(checkpoint)
+    light = [s.light(FINE) for s in sampled]
+    tasks = (delayed(_kept_match)(light[i], light[j], folder) for i, j in edges)
+    matches = list(tqdm(run(tasks), "pairs", len(edges), disable=not progress))
+    _refuse_mirrored(sampled, edges, matches)
+
+    for k in range(ROUNDS):
+        estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
+        turn = turns(signs, n_basis)
+        relative = turn[edges[:, 0]][:, :, None] * estimate.relative() * turn[edges[:, 1]][:, None]
+        tasks = (delayed(improve)(light[i], light[j], c) for (i, j), c in zip(edges, relative))
+        better = list(tqdm(run(tasks), f"pairs again {k + 1}/{ROUNDS}", len(edges), disable=not progress))
+        matches = [min(old, new, key=lambda m: m.cost) for old, new in zip(matches, better)]
+    estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
+    posterior = None
+    if n_draws:
+        posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress)
+    maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
+    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
+    return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
+
+
+def refuse_strangers(shapes: Sequence[SampledShape]) -> None:
+    """ValueError that names the shape whose spectrum is far from the rest."""
+    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
+    if len(shapes) == 2 and apart.max() > _STRANGER:
+        names = " and ".join(s.shape.name for s in shapes)
+        raise ValueError(f"{names} differ in spectrum by {2 * apart.max():.0%}: they are not poses of one surface")
+    worst = int(apart.argmax())
+    if len(shapes) > 2 and apart[worst] > max(_STRANGER, 3 * np.median(apart)):
+        raise ValueError(
+            f"{shapes[worst].shape.name} is unlike the rest: its spectrum differs by {apart[worst]:.0%} from the "
+            f"median shape, the others by {np.median(apart):.0%}; leave this likely intruder out"
+        )
+
+
+def _refuse_inside_out(shapes):
+    """Closed meshes of negative volume have their faces, or themselves, mirrored."""
+    volumes = {}
+    for shape in shapes:
+        if shape.faces is not None:
+            a, b, c = (shape.vertices - shape.vertices.mean(axis=0))[shape.faces.T]
+            volumes[shape.name] = float(np.einsum("fx,fx->", a, np.cross(b, c))) / 6 / shape.area**1.5
+    inside_out = [name for name, volume in volumes.items() if volume < -1e-3]
+    if inside_out and len(inside_out) < len(volumes):
+        raise ValueError(
+            f"{', '.join(inside_out)}: mirrored or inside out (negative volume) while the others are not; "
+            "mirror it back, or reverse the order of corners in every face"
+        )
+
+
+def _refuse_mirrored(shapes, edges, matches):
+    ratio = np.array([m.mirrored_distortion / max(m.distortion, 1e-12) for m in matches])
+    for k, shape in enumerate(shapes):
+        own = ratio[(edges == k).any(axis=1)]
+        if shape.orientation is not None and len(own) and np.median(own) < _MIRRORED:
+            raise ValueError(
+                f"{shape.shape.name}: maps that turn left into right keep distances far better than those that do not: "
+                "the mesh is mirrored; mirror it back"
+            )
+
+
+def _edges(graph, shapes) -> np.ndarray:
+    count = len(shapes)
+    if isinstance(graph, str) and graph == "complete":
+        return np.array(list(itertools.combinations(range(count), 2)))
+    if isinstance(graph, str) and graph[:1] == "k" and graph[1:].isdigit() and int(graph[1:]) > 0:
+        logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+        apart = np.abs(logs[:, None] - logs).mean(axis=2)
+        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : int(graph[1:]) + 1]
+        chosen = nx.Graph((i, int(j)) for i in range(count) for j in nearest[i])
+        tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
+        return np.array(sorted(tuple(sorted(e)) for e in {*map(frozenset, chosen.edges), *map(frozenset, tree.edges)}))
+    if isinstance(graph, str):
+        raise ValueError(f"graph: 'complete', 'k4' or pairs, not {graph!r}")
+    return np.array(sorted({tuple(sorted((int(i), int(j)))) for i, j in graph}))
+
+
+def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) -> PairMatch:
+    """The match of a pair, read from ``folder`` where it was finished before."""
+    if folder is None:
+        return match(first, second)
+    key = hashlib.sha256()
+    for s in (first, second):
+        for array in (s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics):
+            key.update(np.ascontiguousarray(array).tobytes())
+    file = folder / f"{key.hexdigest()[:24]}.npz"
+    if file.is_file():
+        with np.load(file) as kept:
+            return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))
+    found = match(first, second)
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(suffix=".npz", dir=folder)  # put in place complete, or not at all
+    with os.fdopen(handle, "wb") as stream:
+        numbers = [found.distortion, found.orientation, found.mirrored_distortion]
+        np.savez(stream, c_ij=found.c_ij, numbers=numbers)
+    os.replace(temporary, file)
+    return found
+
+
+def turns(signs: np.ndarray, n: int) -> np.ndarray:
+    """(N, n) signs of all basis functions: the last one of a shape with -1 is turned over."""
+    turns = np.ones((len(signs), n))
+    turns[:, -1] = signs
+    return turns
+
+
+def robust_maps(count, edges, matches, n, rng):
+    maps = np.array([m.c_ij[:n, :n] for m in matches])
+    signs, violating = rotation_signs(count, edges, maps)
+    turn = turns(signs, n)
+    problem = SyncProblem(count, edges, so.project(turn[edges[:, 0]][:, :, None] * maps * turn[edges[:, 1]][:, None]))
+    return _solved(problem, rng), signs, violating, problem
+
+
+def _solved(problem, rng, **options) -> Estimate:
+    """The robust answer to a part in a thousand: the maps are not better known than that."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        if len(problem.edges) < problem.n_nodes:  # a tree has no cycle by which to tell a wrong edge
+            return fmsync.solve(problem, "mle", rng=rng, **options)
+        return fmsync.solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100, **options)
+
+
+def _trusted(problem: SyncProblem, estimate: Estimate) -> SyncProblem:
+    """The problem without the edges that the robust answer gave up, unless that takes it apart."""
+    if estimate.edge_weights is None:
+        return problem
+    keep = estimate.edge_weights > 0.5
+    left = nx.Graph(problem.edges[keep].tolist())
+    if left.number_of_nodes() < problem.n_nodes or not nx.is_connected(left):
+        return problem
+    return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+
+
+def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng, progress: bool) -> Posterior:
+    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
+    tree = problem.n_edges < problem.n_nodes
+    n_chains = 4
+    each = -(-n_draws // n_chains)
+    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
+        return fmsync.sample(
+            problem,
+            "heat-bath",
+            kappa=20.0 if tree else "auto",
+            init=estimate,
+            n_chains=n_chains,
+            n_draws=each,
+            warmup=300,
+            thin=4,
+            callback=lambda *_: bar.update(),
+            rng=rng,
+        )

@@ -1,0 +1,38 @@
+"""Methods found by name."""
+
+import difflib
+import inspect
+from collections.abc import Callable, Mapping
+
+
+class Registry(dict):
+    """Callables by name; ``given`` are the arguments that every one takes and no user passes as an option."""
+
+    def __init__(self, kind: str, given: tuple[str, ...]):
+        super().__init__()
+        self._kind, self._given = kind, given
+
+    def register(self, name: str) -> Callable:
+        """Decorator that keeps what it decorates under a name."""
+
+        def keep(entry: Callable) -> Callable:
+            self[name] = entry
+            return entry
+
+        return keep
+
+    def names(self) -> list[str]:
+        """All names."""
+        return sorted(self)
+
+    def find(self, method: str, options: Mapping[str, object]) -> tuple[Callable, list[str]]:
+        """The entry and the options it knows; a ValueError with the nearest names, or with the options it does know."""
+        if method not in self:
+            close = difflib.get_close_matches(method, self.names())
+            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(self.names())}"
+            raise ValueError(f"method: no {self._kind} is called {method!r}; {hint}")
+        known = [name for name in inspect.signature(self[method]).parameters if name not in self._given]
+        unknown = sorted(set(options) - set(known))
+        if unknown:
+            raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
+        return self[method], known

@@ -1,0 +1,188 @@
+r"""Compiled sweeps of the heat bath: rotations of two columns at a time, exact for densities exp(tr(Fᵀ C)).
+
+Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rotate are rows, contiguous in memory. The
+planes of a map are visited in rounds of disjoint ones, whose angles do not wait for each other: all are drawn at once.
+"""
+
+import numba
+import numpy as np
+
+from fmsync.samplers.random_streams import POOL, von_mises_halves
+
+
+def rounds(n: int) -> np.ndarray:
+    """All planes of n columns in rounds of disjoint ones, (n - 1 or n, n // 2, 2): the table of a tournament."""
+    last = n - 1 + n % 2  # an odd n has one more player, who is nobody
+    table = [[(last, r)] + [((r + k) % last, (r - k) % last) for k in range(1, (last + 1) // 2)] for r in range(last)]
+    return np.array([[sorted(pair) for pair in pairs if max(pair) < n] for pairs in table]).reshape(-1, n // 2, 2)
+
+
+@numba.njit(cache=True, nogil=True)
+def colours(start, other):
+    """A greedy colouring: nodes in the order of their colours, and where each colour begins (C + 1,).
+
+    Nodes of one colour are not neighbours: what one does is nothing to the others, in whatever order they are visited.
+    """
+    n_nodes = len(start) - 1
+    colour, taken = np.full(n_nodes, -1), np.full(n_nodes + 1, -1)
+    for i in range(n_nodes):
+        for t in range(start[i], start[i + 1]):
+            if colour[other[t]] >= 0:
+                taken[colour[other[t]]] = i
+        colour[i] = 0
+        while taken[colour[i]] == i:
+            colour[i] += 1
+    first = np.zeros(colour.max() + 2, dtype=np.int64)
+    for i in range(n_nodes):
+        first[colour[i] + 1] += 1
+    return np.argsort(colour, kind="mergesort"), np.cumsum(first)
+
+
+@numba.njit(cache=True, nogil=True)
+def node_blocks(maps, weights, start, edge, forward, out):
+    r"""What every neighbour says, side by side: out (2E n²,) holds at ``start[i] n²`` the (n, deg n) blocks of node i.
+
+    With them :math:`S_i^\top` is one product with the stacked transposed maps of the neighbours.
+    """
+    n = maps.shape[-1]
+    for i in range(len(start) - 1):
+        degree = start[i + 1] - start[i]
+        block = out[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
+        for t in range(degree):
+            e = edge[start[i] + t]
+            for a in range(n):
+                for b in range(n):
+                    value = maps[e, b, a] if forward[start[i] + t] else maps[e, a, b]
+                    block[a, t * n + b] = weights[e] * value
+
+
+@numba.njit(cache=True, nogil=True)
+def sweep_chains(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+    """:func:`sweep` for all of x (K, N, n, n); blocks (K, 2E n²), or (1, 2E n²) where all chains read the same."""
+    for k in range(len(x)):
+        block = blocks[k if len(blocks) > 1 else 0]
+        sweep(x[k], block, start, other, field, kappa[k], over_relaxations, planes, nodes, states[k], gains[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def sweep(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+    r"""Visit nodes of one chain: each is over-relaxed some times, then drawn by the heat bath.
+
+    Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
+    :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises. Over-relaxation takes θ to
+    twice the angle of the mode, which leaves the density as it is.
+
+    Parameters
+    ----------
+    x
+        (N, n, n) transposed absolute maps, changed in place.
+    blocks, start, other
+        From :func:`node_blocks` and the incidence of the problem.
+    field
+        (N, n, n) transposed linear terms of a prior, or (0, n, n): :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`.
+    kappa
+        Concentration of the observations.
+    over_relaxations
+        Reflections of every pair of columns before the draw.
+    planes
+        From :func:`rounds`.
+    nodes
+        Nodes to visit, in this order.
+    states
+        (N, 4, 8) generators, one a node.
+    gains
+        (N,): at every node visited, the change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
+    """
+    n = x.shape[1]
+    largest = 0
+    for i in nodes:
+        largest = max(largest, start[i + 1] - start[i])
+    gathered = np.empty((largest * n, n))
+    sums, force, product = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    rows = np.empty((n, 2 * n))  # row a: column a of W, then column a of C
+    angles = np.ones((5, (planes.shape[1] + 3) // 4 * 4))  # whole vectors: those beyond the planes are not used
+    pool = np.empty(POOL)
+    for i in nodes:
+        degree = start[i + 1] - start[i]
+        for t in range(degree):
+            gathered[t * n : (t + 1) * n] = x[other[start[i] + t]]
+        block = blocks[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
+        np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
+        before = _inner(sums, x[i])
+        for a in range(n):
+            for b in range(n):
+                force[a, b] = kappa * sums[a, b]
+                if len(field):
+                    force[a, b] += field[i, a, b]
+        np.dot(x[i], force.T, product)  # Wᵀ
+        for a in range(n):
+            for b in range(n):
+                rows[a, b] = product[a, b]
+                rows[a, n + b] = x[i, a, b]
+        for _ in range(over_relaxations):
+            _over_relax(rows, planes, angles)
+        _draw(rows, planes, angles, states[i], pool)
+        for a in range(n):
+            for b in range(n):
+                x[i, a, b] = rows[a, n + b]
+        gains[i] = _inner(sums, x[i]) - before
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _inner(a, b):
+    total = 0.0
+    for r in range(a.shape[0]):
+        for s in range(a.shape[1]):
+            total += a[r, s] * b[r, s]
+    return total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _over_relax(rows, planes, angles):
+    along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
+    for pairs in planes:
+        _read(rows, pairs, along, across)
+        for p in range(len(along)):
+            square = along[p] * along[p] + across[p] * across[p]
+            shrink = 1 / square if square > 0.0 else 0.0
+            cosine[p] = (along[p] * along[p] - across[p] * across[p]) * shrink if square > 0.0 else 1.0
+            sine[p] = 2 * along[p] * across[p] * shrink
+        rotate_rows(rows, pairs, cosine, sine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _draw(rows, planes, angles, state, pool):
+    along, across, cosine, sine, size = angles[0], angles[1], angles[2], angles[3], angles[4]
+    spare, at = np.empty(len(size)), POOL
+    for pairs in planes:
+        _read(rows, pairs, along, across)
+        for p in range(len(size)):
+            size[p] = np.sqrt(along[p] * along[p] + across[p] * across[p])
+            shrink = 1 / size[p] if size[p] > 0.0 else 0.0
+            along[p] = along[p] * shrink if size[p] > 0.0 else 1.0
+            across[p] *= shrink
+        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
+        for p in range(len(size)):  # twice the half angle, turned by the angle of the mode
+            c, s = cosine[p] * cosine[p] - sine[p] * sine[p], 2 * cosine[p] * sine[p]
+            cosine[p], sine[p] = along[p] * c - across[p] * s, across[p] * c + along[p] * s
+        rotate_rows(rows, pairs, cosine, sine)
+
+
+@numba.njit(cache=True, nogil=True)
+def _read(rows, pairs, along, across):
+    for p in range(len(pairs)):
+        a, b = pairs[p, 0], pairs[p, 1]
+        along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def rotate_rows(rows, pairs, cosine, sine):
+    """Rotate pairs of rows, first ← c first + s second, second ← c second - s first."""
+    width = rows.shape[1]
+    for k in range(len(pairs)):
+        p, q = rows[pairs[k, 0]], rows[pairs[k, 1]]
+        c, s = cosine[k], sine[k]
+        for r in range(width):
+            u, v = p[r], q[r]
+            p[r] = c * u + s * v
+            q[r] = c * v - s * u

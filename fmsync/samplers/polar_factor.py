@@ -1,0 +1,243 @@
+r"""The paper's noise, exactly: the stretch that projection threw away is put back as an unknown.
+
+:math:`C_{ij}P_{ij} = C_i^\top C_j + \sigma G` with P symmetric and :math:`\lambda_a+\lambda_b>0` for all pairs of its
+eigenvalues: that is the region which projection to SO(n) maps to C_ij, and the Jacobian is
+:math:`\prod_{a<b}(\lambda_a+\lambda_b)`. Given P and σ the maps see plain Gaussian observations M = C P, whose exponent
+is linear in each map: the heat bath applies. Given the maps, with A the symmetric part of
+:math:`C_{ij}^\top C_i^\top C_j`,
+
+.. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
+
+drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws
+and eigenvalues by slices, half of either in turn. The maps mix more slowly than the stretches: half is enough.
+"""
+
+from collections.abc import Callable
+
+import numba
+import numpy as np
+
+from fmsync.problem import SyncProblem
+from fmsync.samplers.noise_level import matched_to_spectral
+from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
+from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
+
+LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
+_LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
+
+
+class Stretches:
+    """Stretches and noise level of every chain, beside the blocks of observations that the map sweep reads.
+
+    ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
+    """
+
+    def __init__(self, problem: SyncProblem, n_chains: int, rng: np.random.Generator):
+        n, n_edges = problem.n, problem.n_edges
+        self._problem = problem
+        sigma2 = np.clip(1 / matched_to_spectral(problem, rng), LEAST_SIGMA2, 1.0)
+        self.sigma2 = np.full(n_chains, sigma2)
+        noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
+        _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
+        self._values[..., -1] *= np.sign(np.linalg.det(noise))
+        self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
+        self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
+
+    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable) -> None:
+        """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
+        p = self._problem
+        start, edge, _, forward = p.incidence
+        self._age += 1
+        parity = self._age % 2
+        planes = self._halves[parity]
+
+        def some(first: int, last: int) -> None:
+            chains = (a[first:last] for a in (x, self._vectors, self._values, self.sigma2, self.blocks, states))
+            stretch_chains(*chains, p.edges, p.maps, planes, parity, levels, start, edge, forward)
+
+        share(some, len(x))
+
+
+@numba.njit(cache=True, nogil=True)
+def stretch_chains(
+    x, vectors, values, sigma2, blocks, states, edges, maps, planes, parity, levels, start, edge, forward
+):
+    """:func:`stretch_step` for every chain, σ² and blocks written."""
+    stretched, ones = np.empty(maps.shape), np.ones(len(maps))
+    for k in range(len(x)):
+        sigma2[k] = stretch_step(
+            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, parity, stretched, states[k]
+        )
+        node_blocks(stretched, ones, start, edge, forward, blocks[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, parity, stretched, state):
+    """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
+
+    C P goes to ``stretched`` (E, n, n).
+
+    Returns σ².
+    """
+    n_edges, n = maps.shape[0], maps.shape[1]
+    relative, centre = np.empty((n, n)), np.empty((n, n))
+    product, scaled = np.empty((n, n)), np.empty((n, n))
+    rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
+    angles, pool, at = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL), POOL
+    quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
+    for e in range(n_edges):
+        np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
+        np.dot(maps[e].T, relative, product)
+        for a in range(n):
+            for b in range(n):
+                centre[a, b] = (product[a, b] + product[b, a]) / 2
+        np.dot(vectors[e], centre, product)
+        for a in range(n):
+            diagonal[a] = 0.0
+            for b in range(n):
+                rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
+                diagonal[a] += vectors[e, a, b] * product[a, b]
+        at = rotate_eigenvectors(rows, diagonal, values[e], sigma2, planes, angles, state, pool, at)
+        draw_eigenvalues(values[e], diagonal, sigma2, parity, state)
+        for a in range(n):
+            quadratic += values[e, a] * values[e, a]
+            linear += values[e, a] * diagonal[a]
+            for b in range(n):
+                vectors[e, a, b] = rows[a, b]
+    scale = 1.0
+    if levels:
+        sigma2, scale = draw_level(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
+        values *= scale
+    for e in range(n_edges):
+        for a in range(n):
+            for b in range(n):
+                scaled[a, b] = values[e, a] * vectors[e, a, b]
+        np.dot(vectors[e].T, scaled, product)
+        np.dot(maps[e], product, stretched[e])
+    return sigma2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def rotate_eigenvectors(rows, diagonal, values, sigma2, planes, angles, state, pool, at):
+    r"""Gibbs draws of planes of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
+
+    With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
+    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`. ``angles`` (7, M) is
+    room; the stock of random numbers is that of :func:`~fmsync.samplers.random_streams.von_mises_halves`.
+    """
+    n = len(values)
+    half, between, gap, size = angles[0], angles[1], angles[2], angles[3]
+    cosine, sine, spare = angles[4], angles[5], angles[6]
+    for pairs in planes:
+        for k in range(len(pairs)):
+            a, b = pairs[k, 0], pairs[k, 1]
+            p, q = rows[a], rows[b]
+            product = 0.0
+            for r in range(n):
+                product += p[r] * q[n + r]
+            between[k], half[k] = product, (diagonal[a] - diagonal[b]) / 2
+            gap[k] = (values[a] - values[b]) / sigma2
+        for k in range(len(size)):
+            size[k] = np.abs(gap[k]) * np.sqrt(half[k] * half[k] + between[k] * between[k])
+        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
+        for k in range(len(size)):  # half the angle of the mode comes on top: the angle of (size + along, across)
+            along, across = gap[k] * half[k], gap[k] * between[k]
+            x = size[k] + along if along >= 0 else across
+            y = across if along >= 0 else size[k] - along
+            square = 2 * size[k] * (size[k] + np.abs(along))
+            shrink = 1 / np.sqrt(square) if square > 0.0 else 0.0
+            x, y = x * shrink if square > 0.0 else 1.0, y * shrink
+            cosine[k], sine[k] = cosine[k] * x - sine[k] * y, sine[k] * x + cosine[k] * y
+        for k in range(len(pairs)):
+            a, b = pairs[k, 0], pairs[k, 1]
+            middle = (diagonal[a] + diagonal[b]) / 2
+            c, s = cosine[k], sine[k]
+            turned = half[k] * (c * c - s * s) + between[k] * 2 * c * s
+            diagonal[a], diagonal[b] = middle + turned, middle - turned
+        rotate_rows(rows, pairs, cosine, sine)
+    return at
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _log_density(squares, least, x, mean, sigma2):
+    """Logarithm of the density of an eigenvalue at x given the squares and the least of the others."""
+    if x + least <= 0:
+        return -np.inf
+    logarithm, square = -((x - mean) ** 2) / (2 * sigma2), x * x
+    for first in range(0, len(squares), 24):  # one logarithm for many factors, few enough not to overflow
+        product = 1.0
+        for c in range(first, min(first + 24, len(squares))):
+            product *= square - squares[c]
+        logarithm += np.log(abs(product))
+    return logarithm
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_eigenvalues(values, diagonal, sigma2, parity, state):
+    r"""One slice for every other eigenvalue, from number ``parity`` on, by the density
+
+    :math:`\prod_{c\ne k}(\lambda+\lambda_c)|\lambda-\lambda_c|\;e^{-(\lambda-B_{kk})^2/2\sigma^2}`.
+    """
+    width = 2 * np.sqrt(sigma2)
+    squares = np.empty(len(values) - 1)
+    for k in range(parity, len(values), 2):
+        least = np.inf
+        for c in range(len(values)):
+            if c != k:
+                least = min(least, values[c])
+                squares[c - (c > k)] = values[c] * values[c]
+        mean, here = diagonal[k], values[k]
+        level = _log_density(squares, least, here, mean, sigma2) + np.log(1 - uniform(state))
+        low = here - width * uniform(state)
+        high = low + width
+        while _log_density(squares, least, low, mean, sigma2) > level:
+            low -= width
+        while _log_density(squares, least, high, mean, sigma2) > level:
+            high += width
+        while True:
+            new = low + (high - low) * uniform(state)
+            if _log_density(squares, least, new, mean, sigma2) >= level:
+                break
+            if new < here:
+                low = new
+            else:
+                high = new
+        values[k] = new
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_level(quadratic, linear, constant, dimension, sigma2, state):
+    r"""σ² and a factor s for all stretches, given their shapes: (σ², s).
+
+    Two exact steps in turn, with Q = Σ‖P‖², L = Σ tr(P A), c the constant and :math:`\sum\lVert M-R\rVert^2 = Q-2L+c`.
+    σ² alone is inverse gamma. Along the joint scaling :math:`(P, \sigma)\to(sP, s\sigma)` all powers of s cancel but
+    one: with v = 1/s the density is :math:`v^{-1}\exp(-c\,(v-L/c)^2/2\sigma^2)`.
+    """
+    scale = 1.0
+    for _ in range(_LEVEL_ROUNDS):
+        v = linear / constant + np.sqrt(sigma2 / constant) * _normal(state)
+        if v > 0 and uniform(state) * v < 1 and LEAST_SIGMA2 <= sigma2 / (v * v) <= LARGEST_SIGMA2:
+            scale /= v
+            quadratic, linear, sigma2 = quadratic / (v * v), linear / v, sigma2 / (v * v)
+        rest = quadratic - 2 * linear + constant
+        new = rest / 2 / _gamma(dimension / 2, state)
+        if LEAST_SIGMA2 <= new <= LARGEST_SIGMA2:
+            sigma2 = new
+    return sigma2, scale
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal(state):
+    return np.sqrt(-2 * np.log(1 - uniform(state))) * np.cos(2 * np.pi * uniform(state))
+
+
+@numba.njit(cache=True, nogil=True)
+def _gamma(shape, state):
+    """Marsaglia & Tsang (2000), shape >= 1."""
+    d = shape - 1 / 3
+    c = 1 / np.sqrt(9 * d)
+    while True:
+        z = _normal(state)
+        v = (1 + c * z) ** 3
+        if v > 0 and np.log(1 - uniform(state)) < z * z / 2 + d * (1 - v + np.log(v)):
+            return d * v

@@ -1,0 +1,139 @@
+"""What :func:`fmsync.sample` returns: draws, and the answers read off them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmsync import so
+from fmsync.diagnostics import Summary, summary
+from fmsync.problem import SyncProblem, relative_maps
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    r"""Draws of the absolute maps; only what does not change under :math:`C_i \to Q C_i` means anything.
+
+    Attributes
+    ----------
+    method
+        Registered name of the sampler.
+    absolute
+        (chains, draws, N, n, n) rotations in whatever gauge the chains were; a memory map when they were stored on
+        disk, (chains, 0, N, n, n) when they were not kept.
+    energy
+        (chains, draws) potential U of every draw, without the temperature.
+    kappa
+        (chains, draws) concentration of the observations; 1/σ² under the projected Gaussian likelihood.
+    interrupted
+        Whether Ctrl-C ended the run early; the draws before it are kept.
+    settings
+        Plain values the sampler ran with: step, warm-up, thinning, ...
+    """
+
+    problem: SyncProblem
+    method: str
+    absolute: np.ndarray
+    energy: np.ndarray
+    kappa: np.ndarray
+    interrupted: bool
+    settings: Mapping[str, object]
+
+    @property
+    def n_chains(self) -> int:
+        """Number of chains."""
+        return self.energy.shape[0]
+
+    @property
+    def n_draws(self) -> int:
+        """Draws of each chain."""
+        return self.energy.shape[1]
+
+    @property
+    def sigma2(self) -> np.ndarray:
+        """(chains, draws) noise variance of an entry, under ``likelihood="projected-gaussian"`` (else ValueError)."""
+        if self.settings.get("likelihood") != "projected-gaussian":
+            raise ValueError("sigma2: only likelihood='projected-gaussian' has a noise variance; see kappa")
+        return 1 / self.kappa
+
+    def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
+        r"""Relative maps :math:`C_i^\top C_j` of every draw, (chains, draws, E, n, n).
+
+        ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
+        """
+        return relative_maps(self.kept(), self._edges(edges))
+
+    def relative_mean(
+        self, edges: np.ndarray | None = None, *, distance: str = "chordal", projected: bool = True
+    ) -> np.ndarray:
+        """Mean over all draws of the relative maps, (E, n, n): independent of every gauge.
+
+        Parameters
+        ----------
+        edges
+            (E, 2) pairs, by default the problem's own.
+        distance
+            Of the Fréchet mean. ``"chordal"``: nearest rotation to the arithmetic mean. ``"geodesic"``: see
+            :func:`fmsync.so.frechet_mean`.
+        projected
+            False: the arithmetic mean itself, which is not a rotation but of all matrices the one with the least
+            expected squared Frobenius error.
+        """
+        edges = self._edges(edges)
+        n = self.problem.n
+        if distance == "geodesic":
+            means = [so.frechet_mean(self.relative(edge[None]).reshape(-1, n, n)) for edge in edges]
+            return np.stack(means)
+        if distance != "chordal":
+            raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
+        # one product per pair over all draws at once, and no (draws, E, n, n) array
+        absolute = self.kept()
+        stacked = {k: absolute[:, :, k].reshape(-1, n) for k in np.unique(edges)}  # (draws n, n)
+        mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
+        return so.project(mean) if projected else mean
+
+    def credible_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
+
+        The centre is the arithmetic mean of the draws. A draw's distance is taken to the mean of the *others*,
+        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own share in the centre would make balls too small.
+
+        Examples
+        --------
+        >>> import numpy as np, fmsync
+        >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
+        >>> post = fmsync.sample(p, "heat-bath", kappa=20.0, n_draws=200)
+        >>> centre, radius = post.credible_balls(0.9)
+        >>> bool(0 < radius[0] < 1)
+        True
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
+        edges = self._edges(edges)
+        centres = self.relative_mean(edges, projected=False)
+        radii = [np.quantile(self._distances(edge, centre), level) for edge, centre in zip(edges, centres)]
+        return centres, np.array(radii)
+
+    def spread(self, edges: np.ndarray | None = None) -> np.ndarray:
+        """(E,) root-mean-square Frobenius distance of the draws from their arithmetic mean: how unsure each edge is."""
+        edges = self._edges(edges)
+        squared = self.problem.n - (self.relative_mean(edges, projected=False) ** 2).sum((1, 2))
+        return np.sqrt(np.maximum(squared, 0))
+
+    def summary(self) -> Summary:
+        """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
+        return summary(self)
+
+    def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        """(chains * draws,) distance of every draw of one relative map to the mean of the others."""
+        draws = self.relative(edge[None]).reshape(-1, *centre.shape)
+        return len(draws) / max(len(draws) - 1, 1) * np.linalg.norm(draws - centre, axis=(1, 2))
+
+    def kept(self) -> np.ndarray:
+        """``absolute``, or a ValueError that says that the draws were not kept."""
+        if self.absolute.shape[1] != self.n_draws:
+            raise ValueError("absolute: the draws were not kept (store=None); sample with store='memory' or a path")
+        return self.absolute
+
+    def _edges(self, edges: np.ndarray | None) -> np.ndarray:
+        return self.problem.edges if edges is None else np.asarray(edges)

@@ -1,0 +1,159 @@
+"""Maps between bases of unequal sizes: derivatives on Stiefel products, recovery, and the square case as a check."""
+
+import warnings
+
+import networkx as nx
+import numpy as np
+import pytest
+
+import data_gen
+import fmsync
+from fmsync.estimators.rectangular import Frames
+
+SIZES = (4, 6, 5, 6, 3, 5)
+
+
+def planted(sizes=SIZES, m=6, noise=0.0, seed=0, graph=None):
+    """(problem, frames) with C_ij = C_iᵀ C_j + noise."""
+    rng = np.random.default_rng(seed)
+    frames = [np.linalg.qr(rng.standard_normal((m, size)))[0] for size in sizes]
+    edges = np.array((nx.complete_graph(len(sizes)) if graph is None else graph).edges)
+    maps = [frames[i].T @ frames[j] for i, j in edges]
+    maps = [observed + noise * rng.standard_normal(observed.shape) for observed in maps]
+    weights = rng.uniform(0.5, 2, len(edges))
+    return fmsync.RectangularSyncProblem(len(sizes), edges, maps, weights), frames
+
+
+def energy(problem, frames):
+    """The stated energy, edge by edge."""
+    return sum(
+        weight * np.sum((frames[i].T @ frames[j] - observed) ** 2)
+        for (i, j), weight, observed in zip(problem.edges, problem.weights, problem.maps)
+    )
+
+
+def largest_error(estimate, frames):
+    return max(
+        np.abs(found - frames[i].T @ frames[j]).max()
+        for found, (i, j) in zip(estimate.relative(), estimate.problem.edges)
+    )
+
+
+def random_tangent(model, point, rng):
+    """The projection the Hessian ends with, of an ambient Gaussian with zero columns where there is padding."""
+    ambient = rng.standard_normal(point.absolute.shape) * ~model._absent[:, None, :]
+    inner = np.swapaxes(point.absolute, 1, 2) @ ambient
+    return ambient - point.absolute @ (inner + np.swapaxes(inner, 1, 2)) / 2
+
+
+@pytest.mark.parametrize("m", [6, 8])
+def test_gradient_and_hessian_have_the_right_slopes(m):
+    problem, _ = planted(noise=0.3)
+    model = Frames(problem, m)
+    rng = np.random.default_rng(1)
+    frames = [np.linalg.qr(rng.standard_normal((m, size)))[0] for size in SIZES]
+    start = np.zeros((len(SIZES), m, 6))
+    for node, frame in enumerate(frames):
+        start[node, :, : frame.shape[1]] = frame
+    point = model.evaluate(start)
+    np.testing.assert_allclose(point.cost, energy(problem, frames))
+    v, w = random_tangent(model, point, rng), random_tangent(model, point, rng)
+    hv = model.hessian(point, v)
+    np.testing.assert_allclose(np.vdot(hv, w), np.vdot(v, model.hessian(point, w)), rtol=1e-10)
+
+    def rest(t):  # the polar retraction is of second order, so the remainder of Taylor's expansion is cubic
+        moved = model.evaluate(model.retract(point, t * v)).cost
+        return abs(moved - point.cost - t * np.vdot(point.gradient, v) - t**2 / 2 * np.vdot(hv, v))
+
+    slope = np.log10(rest(1e-2) / rest(1e-3))
+    assert abs(slope - 3) < 0.1
+
+
+def test_consistent_maps_are_recovered():
+    problem, frames = planted()
+    estimate = fmsync.solve_rectangular(problem)
+    assert estimate.converged
+    assert estimate.cost < 1e-12
+    assert largest_error(estimate, frames) < 1e-6
+    unseen = estimate.relative([[5, 0], [2, 2]])
+    np.testing.assert_allclose(unseen[0], frames[5].T @ frames[0], atol=1e-6)
+    np.testing.assert_allclose(unseen[1], np.eye(5), atol=1e-12)
+
+
+def test_a_universe_larger_than_every_shape_is_recovered():
+    problem, _ = planted(sizes=(4, 5, 4, 5, 3, 4, 5), m=7)
+    assert fmsync.solve_rectangular(problem, 7).cost < 1e-10
+    assert fmsync.solve_rectangular(problem).cost > 0.1  # five dimensions cannot hold them
+
+
+def test_missing_edges_and_noise():
+    """Synchronised maps are nearer to the truth than the observed ones."""
+    graph = data_gen.random_graph(12, 0.6, rng=0)
+    problem, frames = planted(sizes=(6, 7, 8) * 4, m=8, noise=0.1, graph=graph)
+    estimate = fmsync.solve_rectangular(problem)
+    np.testing.assert_allclose(estimate.cost, energy(problem, estimate.absolute), rtol=1e-10)
+    raw, synchronised = (
+        sum(np.sum((a - frames[i].T @ frames[j]) ** 2) for a, (i, j) in zip(maps, problem.edges))
+        for maps in (problem.maps, estimate.relative())
+    )
+    assert synchronised < 0.6 * raw
+    assert energy(problem, estimate.absolute) < energy(problem, frames)
+
+
+def test_equal_sizes_are_the_problem_on_orthogonal_matrices():
+    square = data_gen.perturb(data_gen.planted(7, 4, rng=0), 0.1, rng=1)
+    problem = fmsync.RectangularSyncProblem(7, square.edges, list(square.maps))
+    estimate, expected = fmsync.solve_rectangular(problem), fmsync.solve(square, "mle", group="O")
+    np.testing.assert_allclose(estimate.cost, expected.cost, rtol=1e-9)
+    np.testing.assert_allclose(np.stack(estimate.relative()), expected.relative(), atol=1e-5)
+
+
+def test_gauge_frames_and_trace():
+    problem, _ = planted(noise=0.1)
+    seen = []
+    estimate = fmsync.solve_rectangular(problem, 7, callback=lambda k, c, cost, norm: seen.append(cost))
+    np.testing.assert_allclose(estimate.absolute[0], np.eye(7, 4), atol=1e-12)
+    for frame, size in zip(estimate.absolute, SIZES):
+        assert frame.shape == (7, size)
+        np.testing.assert_allclose(frame.T @ frame, np.eye(size), atol=1e-12)
+    np.testing.assert_array_equal(estimate.trace.cost, seen)
+    again = fmsync.solve_rectangular(problem, 7)
+    np.testing.assert_array_equal(again.absolute[3], estimate.absolute[3])
+    turn = fmsync.so.random_uniform(7, rng=3)
+    turned = fmsync.solve_rectangular(problem, 7, init=[turn @ frame for frame in estimate.absolute])
+    assert turned.n_iterations == 0
+    np.testing.assert_allclose(turned.cost, estimate.cost, rtol=1e-10)
+
+
+def test_stopping_early_is_said_aloud():
+    problem, _ = planted(noise=0.3)
+    with pytest.warns(RuntimeWarning, match="solve_rectangular stopped before its tolerance"):
+        assert not fmsync.solve_rectangular(problem, init="random", max_iterations=1).converged
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert fmsync.solve_rectangular(problem, init="random").converged
+
+
+def test_bad_input_is_named():
+    build = fmsync.RectangularSyncProblem
+    with pytest.raises(ValueError, match=r"edge 1 \(1, 2\) gives node 1 4 basis functions, edge 0 gave it 3"):
+        build(3, [[0, 1], [1, 2]], [np.eye(5, 3), np.eye(4, 2)])
+    with pytest.raises(ValueError, match=r"maps: edge 0 \(0, 1\) holds NaN"):
+        build(2, [[0, 1]], [np.full((2, 3), np.nan)])
+    with pytest.raises(ValueError, match=r"maps: edge 0 \(0, 1\) has shape \(3,\)"):
+        build(2, [[0, 1]], [np.ones(3)])
+    with pytest.raises(ValueError, match="maps: 1 maps for 2 edges"):
+        build(3, [[0, 1], [1, 2]], [np.eye(3)])
+    with pytest.raises(ValueError, match=r"weights: edge 1 \(1, 2\) has weight 0"):
+        build(3, [[0, 1], [1, 2]], [np.eye(3)] * 2, [1.0, 0.0])
+    with pytest.raises(ValueError, match="falls into 2 components"):
+        build(4, [[0, 1], [2, 3]], [np.eye(3)] * 2)
+    problem = build(2, [[0, 1]], [np.eye(5, 3)])
+    with pytest.raises(ValueError, match="universe: 4 is smaller than the 5 basis functions of node 0"):
+        fmsync.solve_rectangular(problem, 4)
+    with pytest.raises(ValueError, match="init: 'spectral', 'random' or one frame per node, not 'cold'"):
+        fmsync.solve_rectangular(problem, init="cold")
+    with pytest.raises(ValueError, match=r"init: node 1 needs a frame \(5, 3\), got \(5, 5\)"):
+        fmsync.solve_rectangular(problem, init=[np.eye(5)] * 2)
+    with pytest.raises(ValueError, match="init: the columns of node 0 are not orthonormal"):
+        fmsync.solve_rectangular(problem, init=[2 * np.eye(5), np.eye(5, 3)])

@@ -1,0 +1,260 @@
+"""The pipeline on small synthetic cats, whose common vertex order judges it and is never shown to it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import data_gen
+import fmsync
+from bench.own_shapes_confidence import planted_flips, planted_noise
+from fmsync.matching import fit_recalibration, pairwise, synchronize
+from fmsync.matching.confidence import Confidence, _stretch, two_modes
+from fmsync.matching.doubts import doubts
+from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators
+from fmsync.matching.signs import rotation_signs
+from fmsync.shape import Shape
+from tests.matching.conftest import OPTIONS
+
+
+def straight_errors(shape, image):
+    """Straight-line distance from each vertex to its image under the common order, in square roots of the area."""
+    vertices = shape.normalised().vertices
+    return np.linalg.norm(vertices[image] - vertices, axis=1)
+
+
+def test_point_maps_find_the_common_order(synced, cats):
+    for i, j in ((0, 1), (3, 2)):
+        assert straight_errors(cats[j], synced.point_map(i, j)).mean() < 0.04
+        image = straight_errors(cats[j], data_gen.left_right_flip(1000)).mean()
+    assert image > 0.1  # what a swap of left and right would cost
+
+
+def test_maps_are_consistent(synced):
+    np.testing.assert_allclose(
+        synced.functional_map(0, 1) @ synced.functional_map(1, 3), synced.functional_map(0, 3), atol=1e-10
+    )
+
+
+def test_scale_units_and_another_triangulation_do_not_matter(cats):
+    import pyvista as pv
+
+    other = pv.PolyData.from_regular_faces(cats[1].vertices, cats[1].faces).subdivide(1, "linear")
+    large = Shape(1000 * np.asarray(other.points, dtype=float), other.regular_faces, "large")
+    result = fmsync.synchronize_shapes([cats[0], large], n_draws=0, **OPTIONS)
+    image = large.vertices[result.point_map(0, 1)]
+    assert np.linalg.norm(image - 1000 * cats[1].vertices, axis=1).mean() / np.sqrt(large.area) < 0.08
+
+
+def test_point_clouds_have_no_orientation(cats):
+    clouds = [Shape(cat.vertices, None, cat.name) for cat in cats[:2]]
+    result = fmsync.synchronize_shapes(clouds, n_draws=0, **OPTIONS)
+    assert result.matches[0].orientation == 0
+    assert result.point_map(0, 1).shape == (1000,)
+
+
+def test_orientation_operators_are_skew_and_turn_with_the_faces(cats):
+    cat = cats[0].normalised()
+    basis = fmsync.laplace_beltrami(cat.vertices, cat.faces, 10)
+    functions = cat.vertices[:, :2]
+    operators = orientation_operators(cat, basis, functions)
+    turned = orientation_operators(Shape(cat.vertices, cat.faces[:, ::-1], "turned"), basis, functions)
+    np.testing.assert_allclose(turned, -operators, atol=1e-12)
+    assert np.linalg.norm(operators + operators.transpose(0, 2, 1)) < 1e-8 * np.linalg.norm(operators)
+
+
+def test_farthest_points_against_the_definition():
+    points = np.random.default_rng(0).standard_normal((60, 3))
+    chosen = farthest_points(points, 10)
+    for k in range(1, 10):
+        nearest = np.linalg.norm(points[:, None] - points[chosen[:k]], axis=2).min(axis=1)
+        assert nearest[chosen[k]] == pytest.approx(nearest.max())
+
+
+def test_geodesics_on_a_sphere():
+    import pyvista as pv
+
+    ball = pv.Icosphere(radius=1.0, nsub=4)
+    shape = Shape(np.asarray(ball.points, dtype=float), ball.regular_faces, "ball")
+    samples = farthest_points(shape.vertices, 12)
+    unit = shape.vertices[samples] / np.linalg.norm(shape.vertices[samples], axis=1, keepdims=True)
+    expected = np.arccos(np.clip(unit @ unit.T, -1, 1))
+    np.testing.assert_allclose(geodesics_between(shape, samples), expected, atol=0.1)
+
+
+def test_zoomout_of_the_true_map_stays_there(synced):
+    a, b = synced.shapes[0], synced.shapes[1]
+    true = a.basis.coefficients(b.basis.eigenfunctions)
+    maps, images = pairwise.zoomout(a, b, true[None, :10, :10], 30, 5)
+    assert maps.shape == (1, 30, 30)
+    assert images.shape == (1, 200)
+    reached = b.shape.vertices[b.samples[images[0]]]
+    assert np.linalg.norm(reached - b.shape.vertices[a.samples], axis=1).mean() < 0.06
+
+
+def test_signs_are_found_and_wrong_edges_named():
+    rng = np.random.default_rng(1)
+    edges = np.array([(i, j) for i in range(8) for j in range(i + 1, 8)])
+    hidden = rng.choice([-1.0, 1.0], 8)
+    parity = hidden[edges[:, 0]] * hidden[edges[:, 1]]
+    parity[[3, 17]] *= -1
+    maps = np.stack([np.diag([p, 1.0, 1.0]) for p in parity])
+    signs, violating = rotation_signs(8, edges, maps)
+    np.testing.assert_array_equal(signs, hidden * hidden[0])
+    np.testing.assert_array_equal(violating, [3, 17])
+
+
+def test_two_modes_need_two_supported_distant_places():
+    geodesics = np.abs(np.subtract.outer([0.0, 0.01, 1.0], [0.0, 0.01, 1.0]))
+    votes = np.array([[0, 0, 0], [1, 1, 0], [0, 2, 0], [1, 2, 0], [0, 0, 0], [0, 1, 2], [0, 0, 0], [1, 0, 0]])
+    np.testing.assert_array_equal(two_modes(votes, geodesics), [False, True, False])
+
+
+def test_confidence_of_certain_draws_is_a_point(synced):
+    known = synced.confidence(0, 1, 0.9)
+    assert (known.radius >= 0).all()
+    assert (known.entropy >= 0).all()
+    wider = synced.confidence(0, 1, 0.99)
+    assert (wider.radius >= known.radius).all()
+    assert wider.radius.mean() > known.radius.mean()
+
+
+def test_recalibration_covers_what_it_promises():
+    rng = np.random.default_rng(0)
+    zeros = np.zeros(4000, dtype=int)
+    spread = rng.uniform(0.01, 0.2, 4000)
+    known = Confidence(zeros, zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
+    errors = 3 * spread * rng.exponential(size=4000)
+    fitted = fit_recalibration([known], [errors])
+    fresh = 3 * spread * rng.exponential(size=4000)
+    assert (fresh <= fitted.radius(known)).mean() == pytest.approx(0.9, abs=0.02)
+
+
+def test_finished_pairs_are_not_done_again(cats, tmp_path, monkeypatch):
+    first = fmsync.synchronize_shapes(cats[:3], n_draws=0, checkpoint=tmp_path, **OPTIONS)
+    assert len(list(tmp_path.iterdir())) == 3
+
+    def refuse(*_):
+        raise AssertionError("done again")
+
+    monkeypatch.setattr(synchronize, "match", refuse)
+    again = fmsync.synchronize_shapes(cats[:3], n_draws=0, checkpoint=tmp_path, **OPTIONS)
+    np.testing.assert_array_equal(again.refined, first.refined)
+
+
+def test_neighbours_by_spectrum_stay_connected(cats):
+    result = fmsync.synchronize_shapes(cats, n_draws=0, graph="k1", **OPTIONS)
+    assert 3 <= len(result.edges) < 6
+
+
+def test_bad_collections_are_refused_by_name(cats):
+    with pytest.raises(ValueError, match="at least two"):
+        fmsync.synchronize_shapes(cats[:1])
+    flipped = Shape(cats[1].vertices * [1, -1, 1], cats[1].faces, "mirror")
+    with pytest.raises(ValueError, match="mirror: mirrored or inside out"):
+        fmsync.synchronize_shapes([cats[0], flipped], **OPTIONS)
+    ball = data_gen.load_collection("cats", count=1, n_vertices=1000)[0]
+    stretched = Shape(ball.vertices * [9, 1, 1], ball.faces, "plank")
+    with pytest.raises(ValueError, match="plank is unlike the rest"):
+        fmsync.synchronize_shapes([*cats[:3], stretched], **OPTIONS)
+    with pytest.raises(ValueError, match="too few"):
+        fmsync.synchronize_shapes(cats, n_refined=2000)
+    with pytest.raises(ValueError, match="landmarks"):
+        fmsync.synchronize_shapes(cats[:2], landmarks=[[1, 2], [1]], **OPTIONS)
+
+
+def test_landmarks_are_samples_and_are_met(cats):
+    marks = [[5, 400, 900]] * 2
+    result = fmsync.synchronize_shapes(cats[:2], n_draws=0, landmarks=marks, **OPTIONS)
+    assert result.shapes[0].samples[:3].tolist() == marks[0]
+    assert straight_errors(cats[1], result.point_map(0, 1))[marks[0]].max() < 0.2
+
+
+def test_two_modes_on_planted_flips(synced):
+    """Left and right swapped on every third pair: samples that then have two places are flagged, others are not."""
+    precision, recall = planted_flips(synced, 0.3)
+    assert precision > 0.8
+    assert recall > 0.8
+    assert planted_flips(synced, 0.0)[1] == 0  # nothing to find
+
+
+def test_regions_hold_what_they_promise_where_the_model_is_right(synced):
+    covered = planted_noise(synced, kappas=(200.0,), seeds=1)["200.0"]
+    for level in ("0.5", "0.8", "0.9"):
+        assert covered[level] > float(level) - 0.08  # samples are coarse: regions hold more, not less
+    assert covered["0.5"] < covered["0.9"]
+
+
+def test_evidence_grows_with_errors_it_has_not_seen(synced):
+    """Maps turned at random by more and more: every turn is an error that no truth is needed to notice."""
+    rng, size = np.random.default_rng(0), synced.refined.shape[-1]
+    direction = rng.standard_normal((size, size))
+    direction = (direction - direction.T) / np.sqrt(size)
+    evidence = []
+    for angle in (0.0, 0.3, 0.6, 1.2):
+        refined = synced.refined.copy()
+        refined[1] = refined[1] @ fmsync.so.exp(angle * direction)
+        evidence.append(np.median(replace(synced, refined=refined).confidence(0, 1).evidence()))
+    assert evidence == sorted(evidence)
+    assert 1.5 * evidence[0] < evidence[2] < evidence[3] / 1.5
+
+
+def test_images_of_one_vertex(synced):
+    images = synced.vertex_images(0, 1, 17, count=60)
+    assert images.shape == (60,)
+    points = synced.shapes[1].shape.vertices
+    assert np.median(np.linalg.norm(points[images] - points[17], axis=1)) < 0.15
+
+
+def test_thin_draws_and_contradicting_pairs_are_doubts(synced):
+    rng = np.random.default_rng(0)
+    draws = synced.posterior.energy.shape
+    apart = replace(synced.posterior, energy=rng.standard_normal(draws) + 5 * np.arange(draws[0])[:, None])
+    said = " ".join(doubts(replace(synced, posterior=apart, violating=np.array([0]))))
+    assert "R-hat" in said
+    assert "do not rely on the regions" in said
+    assert "cat0–cat1" in said
+
+
+def test_a_mesh_that_is_not_a_manifold(cats):
+    fin = len(cats[0].vertices)  # a third triangle on an edge of the first face
+    a, b = cats[0].faces[0][:2]
+    tip = cats[0].vertices[a] + [0, 0, 0.02]
+    torn = Shape(np.vstack([cats[0].vertices, tip]), np.vstack([cats[0].faces, [a, b, fin]]), "fin")
+    result = fmsync.synchronize_shapes([torn, cats[1]], n_draws=0, **OPTIONS)
+    assert straight_errors(cats[1], result.point_map(0, 1)[:fin]).mean() < 0.06
+
+
+def test_units_do_not_matter_at_all(cats, synced):
+    large = [Shape(1000 * c.vertices + [5e3, 0, 0], c.faces, c.name) for c in cats[:2]]
+    scaled = fmsync.synchronize_shapes(large, n_draws=0, **OPTIONS)
+    same = fmsync.synchronize_shapes(cats[:2], n_draws=0, **OPTIONS)
+    np.testing.assert_array_equal(scaled.point_map(0, 1), same.point_map(0, 1))
+    assert scaled.shapes[0].geodesics == pytest.approx(same.shapes[0].geodesics, abs=1e-6)
+
+
+def test_other_processes_are_sent_the_samples_alone(synced):
+    light = synced.shapes[0].light(20)
+    again = pairwise.match(light, synced.shapes[1].light(20))
+    whole = pairwise.match(
+        replace(synced.shapes[0], basis=synced.shapes[0].basis.truncated(20)),
+        replace(synced.shapes[1], basis=synced.shapes[1].basis.truncated(20)),
+    )
+    np.testing.assert_allclose(again.c_ij, whole.c_ij, atol=1e-12)
+    assert light.shape.n_vertices == 200
+
+
+def test_stretch_is_none_under_a_copy_and_grows_with_scale(synced):
+    """Against the definition, sample by sample: eight nearest samples, then a Gaussian average."""
+    first = synced.shapes[0]
+    points, g = first.shape.vertices[first.samples], first.geodesics
+    assert _stretch(first, points) == pytest.approx(0)
+    np.testing.assert_allclose(_stretch(first, 1.3 * points + 1), 0.3, atol=1e-12)
+    images = points + 0.02 * np.random.default_rng(0).standard_normal(points.shape)
+    change = np.empty(len(points))
+    for k in range(len(points)):
+        near = [x for x in np.argsort(g[k], kind="stable") if x != k][:8]
+        before, after = (np.array([np.linalg.norm(x[k] - x[near_k]) for near_k in near]) for x in (points, images))
+        change[k] = np.mean(np.abs(after / before - 1))
+    expected = [np.average(change, weights=np.exp(-((row / 0.15) ** 2))) for row in g]
+    np.testing.assert_allclose(_stretch(first, images), expected, rtol=1e-9)
