@@ -118,6 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("suites", nargs="*", metavar="SUITE", help="default: all that have a table of results")
     verify.add_argument("--cells", type=int, default=10, help="how many, of all tables together (default: %(default)s)")
     verify.add_argument("--seed", type=int, default=0, help="chooses the cells (default: %(default)s)")
+    verify.add_argument(
+        "--replicas",
+        type=int,
+        default=16,
+        help="repetitions of a cell that is outside of the tolerance, to see how much it varies (default: %(default)s)",
+    )
     verify.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
     verify.set_defaults(run=_verify)
 
@@ -257,7 +263,7 @@ def _verify(arguments: argparse.Namespace) -> int:
 
     from bench import results
     from bench.runner import current_commit
-    from bench.verify import agrees, verify
+    from bench.verify import RULES, agrees, verify
 
     names = arguments.suites or sorted(path.stem for path in arguments.results.glob("*.parquet"))
     if not names:
@@ -265,18 +271,32 @@ def _verify(arguments: argparse.Namespace) -> int:
     frame = pd.concat([results.read(arguments.results / f"{name}.parquet") for name in names], ignore_index=True)
     made = ", ".join(sorted(frame.commit.unique()))
     print(f"{arguments.cells} random cells of {', '.join(names)}; made at {made}, run again at {current_commit()}")
-    n_doubtful = 0
-    for cell, found in itertools.groupby(verify(frame, arguments.cells, arguments.seed), lambda one: one.cell):
+    compared = verify(frame, arguments.cells, arguments.seed, n_replicas=arguments.replicas)
+    everything, reasons = [], set()
+    for cell, found in itertools.groupby(compared, lambda one: one.cell):
         verdicts = list(found)
-        counts = {name: sum(one.verdict == name for one in verdicts) for name in ("equal", "agrees")}
-        print(f"{cell}: {counts['equal']} metrics equal, {counts['agrees']} within the interval", flush=True)
+        for reason in sorted({one.reason for one in verdicts} - reasons - {""}):
+            print(f"rows {reason}; bits need not be equal")
+            reasons.add(reason)
+        print(f"{cell}: {_counts(verdicts, RULES)}", flush=True)
         for one in verdicts:
             if one.metric == "edge_error" or not agrees(one):
                 numbers = f"{one.before:.6g} then, {one.now:.6g} now, {one.interval:.2g} allowed"
-                print(f"  {one.verdict}: {one.metric} {numbers}")
-        n_doubtful += sum(not agrees(one) for one in verdicts)
-    print(f"{n_doubtful} metrics differ" if n_doubtful else "all agree")
+                print(f"  {one.verdict} ({one.rule}): {one.metric} {numbers}")
+        everything += verdicts
+    n_doubtful = sum(not agrees(one) for one in everything)
+    print(f"{f'{n_doubtful} metrics differ' if n_doubtful else 'all agree'}; compared: {_counts(everything, RULES)}")
     return 1 if n_doubtful else 0
+
+
+def _counts(verdicts, rules) -> str:
+    """How many metrics were compared by which rule, and how many have equal bits though that was not demanded."""
+    told = []
+    for rule in rules:
+        those = [one.verdict for one in verdicts if one.rule == rule]
+        equal = f" ({those.count('equal')} in all bits)" if rule == "tolerance" else ""
+        told += [f"{len(those)} by {rule}{equal}"] if those else []
+    return ", ".join(told)
 
 
 def _list(arguments: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,6 +27,7 @@ from bench import methods
 from bench.measure import measure, method_rng
 from bench.planted import Planted
 from bench.suites import Cell, generator_function
+from data_gen.cache import arithmetic
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
@@ -34,6 +36,7 @@ _SPENT = ("seconds", "cpu_seconds", "peak_memory")
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
 _STATUS, _SIZES = Path("/proc/self/status"), Path("/proc/self/statm")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
+_ROUNDING = 1e-15  # in entries of maps, most of which are a few tenths: several units in the last place
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
 
 
@@ -41,16 +44,28 @@ class CellTimeoutError(BaseException):
     """Thrown into a cell at its limit; not an ``Exception``, so that no method swallows it."""
 
 
-def run_cell(cell: Cell, commit: str = "unknown") -> dict:
+def run_cell(cell: Cell, commit: str = "unknown", *, replica: int = 0) -> dict:
     """Make the problem, run the method, measure the answer.
+
+    Parameters
+    ----------
+    cell
+        The method, the problem and the limits.
+    commit
+        Is written into the record.
+    replica
+        0 for the run that belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how
+        much the answer varies: a sampler draws other random numbers; any other method keeps its random numbers and
+        gets observed maps whose entries are moved by about 1e-15, as if they had been rounded differently.
 
     Returns
     -------
     dict
         Plain JSON values: ``status`` "ok", "timeout", "memory" or "error" (with ``traceback``), ``metrics`` as rows
-        (name, at, value), seconds, CPU seconds, peak memory in MB above the process's own, machine, versions, commit.
+        (name, at, value), seconds, CPU seconds, peak memory in MB above the process's own, machine, versions,
+        arithmetic, commit.
     """
-    return _run((cell,), commit)[0]
+    return _run((cell,), commit, replica)[0]
 
 
 def run_together(cells: Sequence[Cell], commit: str = "unknown") -> list[dict]:
@@ -65,7 +80,7 @@ def run_together(cells: Sequence[Cell], commit: str = "unknown") -> list[dict]:
     return records
 
 
-def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
+def _run(cells: Sequence[Cell], commit: str, replica: int = 0) -> list[dict]:
     first, count = cells[0], len(cells)
     outcome: dict = {"status": "ok"}
     answered: list[list] = [[] for _ in cells]
@@ -80,6 +95,8 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
             warnings.simplefilter("always")
             problems = [_problem(c.generator, _frozen(c.problem), c.seed, c.content["data"]) for c in cells]
             rngs = [method_rng(cell.seed) for cell in cells]
+            if replica:
+                problems[0], rngs[0] = _replicated(problems[0], first.seed, method.kind, replica)
             _warm(method, first.options)
             before = _reset_peak()
             began, cpu = time.perf_counter(), time.process_time()
@@ -88,6 +105,8 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
                     answers = [method.run(problems[0], rngs[0], first.options)]
                 else:
                     answers = method.run_together(problems, rngs, first.options)
+            if replica and method.kind == "sampler":
+                answers = [replace(answers[0], numbers=dict)]  # effective draws a second: slow, and not compared
             spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
             rows = [[name, None, value / count] for name, value in zip(_SPENT, spent)]
             rows += [["at_once", None, float(count)]] if count > 1 else []
@@ -106,12 +125,23 @@ def _run(cells: Sequence[Cell], commit: str) -> list[dict]:
             "commit": commit,
             "machine": machine(),
             "versions": versions(),
+            "arithmetic": arithmetic(),
             **outcome,
             "metrics": metrics,
             "wall": (time.perf_counter() - began) / count,
         }
         for cell, metrics in zip(cells, answered)
     ]
+
+
+def _replicated(planted: Planted, seed: int, kind: str, replica: int) -> tuple[Planted, np.random.Generator]:
+    """Problem and generator of a replica; the generator of replica 0 is not drawn from."""
+    other = method_rng(seed).spawn(replica)[-1]
+    if kind == "sampler":
+        return planted, other
+    observed = planted.problem
+    maps = observed.maps + _ROUNDING * other.standard_normal(observed.maps.shape)
+    return replace(planted, problem=replace(observed, maps=maps)), method_rng(seed)
 
 
 @cache

@@ -29,7 +29,11 @@ _TIMINGS = ("seconds", "cpu_seconds", "peak_memory", "ess_per_second")
 
 
 def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
-    """Rows (cell, metric, at, value, unit, direction, commit, machine, versions); failed cells have one row, of no metric.
+    """A row for every number of every cell; failed cells have one row, of no metric.
+
+    Columns: what the cell is, metric, at, value, unit, direction, and where the number comes from: commit, machine,
+    versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (fingerprint of the modules of the method, see
+    :mod:`bench.code`). The last two are None for cells that finished before they were recorded.
 
     Examples
     --------
@@ -55,6 +59,8 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
             "commit": record["commit"],
             "machine": record["machine"],
             "versions": record["versions"],
+            "arithmetic": record.get("arithmetic"),
+            "code": record.get("code"),
         }
         for name, at, value in record["metrics"] or [(None, None, np.nan)]:
             metric = METRICS.get(name)

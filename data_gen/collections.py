@@ -171,8 +171,12 @@ def _read_correspondence(folder, shape):
 
 def _data_folder(name: str) -> Path | None:
     root = os.environ.get("FMSYNC_DATA")
-    folder = Path(root) / name if root else None
-    return folder if folder and folder.is_dir() else None
+    if not root:
+        return None
+    if not Path(root).is_dir():
+        raise ValueError(f"FMSYNC_DATA={root}: there is no such folder; unset it to use the generated cats")
+    folder = Path(root) / name
+    return folder if folder.is_dir() else None
 
 
 def _natural(path: Path) -> list:

@@ -221,3 +221,9 @@ def test_tosca_cats_verify_and_have_their_known_isometry():
     np.testing.assert_allclose(
         [distortion.mean(), distortion.min(), distortion.max()], [0.090, 0.038, 0.147], atol=1e-3
     )
+
+
+def test_a_data_folder_that_does_not_exist_is_refused_by_name(monkeypatch, tmp_path):
+    monkeypatch.setenv("FMSYNC_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(ValueError, match="FMSYNC_DATA=.*nowhere"):
+        load_collection()
