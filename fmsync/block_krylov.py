@@ -30,7 +30,9 @@ def largest_eigenpairs(
         block *= 2
 
 
-def _block_lanczos(apply, size, k, block, tolerance):
+def _block_lanczos(
+    apply: Callable[[np.ndarray], np.ndarray], size: int, k: int, block: int, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
     krylov = np.empty((4 * k + 20 * block, size))  # orthonormal rows; contiguous, so every product below is one GEMM
     projected = np.zeros((0, 0))  # upper triangle of the operator in that basis
     rows = np.linalg.qr(np.random.default_rng(0).standard_normal((size, block)))[0].T  # (b, size)
@@ -62,7 +64,7 @@ def _block_lanczos(apply, size, k, block, tolerance):
                 return values, (combination.T @ basis).T
 
 
-def _orthonormal_rows(rows):
+def _orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal rows and the triangle R with rows = R^T q: Cholesky twice, or QR near rank loss."""
     size = np.sqrt((rows * rows).sum(axis=1))
     gram = rows @ rows.T

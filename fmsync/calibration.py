@@ -6,12 +6,13 @@ the truths.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from fmsync import langevin, so
 
 
-def rank(draws: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right.
 
     Examples

@@ -19,10 +19,17 @@ _LARGEST_RHAT, _LEAST_ESS = 1.01, 400
 class Draws(Protocol):
     """What is looked at of a posterior (:class:`fmsync.Posterior`)."""
 
-    problem: SyncProblem
-    energy: np.ndarray
-    kappa: np.ndarray
-    settings: Mapping[str, object]
+    @property
+    def problem(self) -> SyncProblem: ...
+
+    @property
+    def energy(self) -> np.ndarray: ...
+
+    @property
+    def kappa(self) -> np.ndarray: ...
+
+    @property
+    def settings(self) -> Mapping[str, object]: ...
 
     def kept(self) -> np.ndarray:
         """(chains, draws, N, n, n) absolute maps."""
@@ -107,7 +114,7 @@ class Summary:
 
     def _cells(self) -> list[tuple[str, ...]]:
         """Text of every row; the mean has as many decimals as the standard deviation has in two significant digits."""
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for name in self.names:
             row = self[name]
             sd = row["sd"]

@@ -45,7 +45,16 @@ def sparse_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | Non
 
 
 @numba.njit(cache=True)
-def _sparse_sums(blocks, maps, weights, start, edge, other, forward, sums):
+def _sparse_sums(
+    blocks: np.ndarray,
+    maps: np.ndarray,
+    weights: np.ndarray,
+    start: np.ndarray,
+    edge: np.ndarray,
+    other: np.ndarray,
+    forward: np.ndarray,
+    sums: np.ndarray,
+) -> None:
     """One product per node, direction and 32 of its edges, whose maps and blocks are gathered in long strides.
 
     Maps of edges that come in stand on top of each other and count transposed, those of edges that go out side by side.

@@ -17,6 +17,7 @@ on Gaussâ€“Jacobi nodes): with :math:`\alpha_j, b_j` its coefficients and k = âŒ
 import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import ArrayLike
 
 _LARGEST_KAPPA = 1e5
 _SMALL = 2.0  # below it the norms h_j cancel too much, and log c_n is the integral of its derivative
@@ -107,7 +108,7 @@ def matched_kappa(n: int, cosine: float) -> float:
     return float((low + high) / 2)
 
 
-def _checked(n, kappa) -> tuple[np.ndarray, np.ndarray]:
+def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(n, bool) or int(n) != n or n < 2:
         raise ValueError(f"n: rotations have a whole size n >= 2, got {n}")
     kappa = np.asarray(kappa, dtype=float)

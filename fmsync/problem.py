@@ -9,12 +9,13 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import networkx as nx
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmsync.so import transpose
 
@@ -25,7 +26,7 @@ _FIELDS = ("n_nodes", "edges", "maps", "weights", "provenance")  # of a problem 
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class SyncProblem:
     r"""Observed maps C_ij on the edges of a connected graph; arrays are validated, copied and made read-only.
 
@@ -60,12 +61,19 @@ class SyncProblem:
     n_nodes: int
     edges: np.ndarray
     maps: np.ndarray
-    weights: np.ndarray | None = None
-    provenance: Mapping[str, object] = field(default_factory=dict)
+    weights: np.ndarray
+    provenance: Mapping[str, object]
 
-    def __post_init__(self):
-        edges = validated_edges(self.n_nodes, self.edges)
-        maps = np.array(self.maps, dtype=float)
+    def __init__(
+        self,
+        n_nodes: int,
+        edges: ArrayLike,
+        maps: ArrayLike,
+        weights: ArrayLike | None = None,
+        provenance: Mapping[str, object] | None = None,
+    ) -> None:
+        edges = validated_edges(n_nodes, edges)
+        maps = np.array(maps, dtype=float)
         if maps.ndim != 3 or maps.shape[1] != maps.shape[2] or maps.shape[1] < 2:
             raise ValueError(f"maps: expected (E, n, n) with n >= 2, got {maps.shape}; all maps must be of one size")
         if len(maps) != len(edges):
@@ -73,12 +81,14 @@ class SyncProblem:
         bad = np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))
         if bad.size:
             raise ValueError(f"maps: edge {bad[0]} {_pair(edges[bad[0]])} holds NaN or infinity")
-        weights = np.ones(len(edges)) if self.weights is None else np.array(self.weights, dtype=float)
+        weights = np.ones(len(edges)) if weights is None else np.array(weights, dtype=float)
         if weights.shape != (len(edges),):
             raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
         bad = np.flatnonzero(~((weights > 0) & np.isfinite(weights)))
         if bad.size:
             raise ValueError(f"weights: edge {bad[0]} {_pair(edges[bad[0]])} has weight {weights[bad[0]]}; must be > 0")
+        object.__setattr__(self, "n_nodes", n_nodes)
+        object.__setattr__(self, "provenance", {} if provenance is None else provenance)
         for name, array in (("edges", edges), ("maps", maps), ("weights", weights)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -130,7 +140,7 @@ class SyncProblem:
         return matrix.reshape(n_nodes * n, n_nodes * n)
 
     @cached_property
-    def incidence(self) -> tuple[np.ndarray, ...]:
+    def incidence(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Edges sorted by node: (start (N+1,), edge, other, forward), forward where the node is the edge's head."""
         head, tail = self.edges[:, 1], self.edges[:, 0]
         node = np.concatenate([head, tail])
@@ -168,7 +178,7 @@ class LangevinPrior:
     mean: np.ndarray
     kappa: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         mean = np.array(self.mean, dtype=float)
         if mean.ndim != 3:
             raise ValueError(f"mean: expected (N, n, n), got {mean.shape}")
@@ -249,7 +259,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     """
     pairs, maps = np.asarray(edges).tolist(), np.asarray(maps, dtype=float)
     lookup = {(j, i): c.T for (i, j), c in zip(pairs, maps)} | {(i, j): c for (i, j), c in zip(pairs, maps)}
-    later = {i: set() for i in range(n_nodes)}  # neighbours with a greater number
+    later: dict[int, set[int]] = {i: set() for i in range(n_nodes)}  # neighbours with a greater number
     for i, j in pairs:
         later[min(i, j)].add(max(i, j))
     triangles = [(i, j, k) for i in later for j in sorted(later[i]) for k in sorted(later[i] & later[j])]
@@ -267,11 +277,11 @@ def check_rotations(c: np.ndarray, name: str) -> None:
         raise ValueError(f"{name}: node {bad[0]} is not a rotation; project it first with fmsync.so.project")
 
 
-def _pair(edge) -> str:
+def _pair(edge: np.ndarray) -> str:
     return f"({edge[0]}, {edge[1]})"
 
 
-def validated_edges(n_nodes: int, edges) -> np.ndarray:
+def validated_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     if isinstance(n_nodes, bool) or int(n_nodes) != n_nodes or n_nodes < 2:
         raise ValueError(f"n_nodes: need at least two shapes, got {n_nodes}")
     raw = np.asarray(edges)
@@ -324,11 +334,17 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     path = Path(path)
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     record = np.frombuffer(json.dumps(dict(problem.provenance)).encode(), dtype=np.uint8)
-    arrays = (np.int64(problem.n_nodes), problem.edges, problem.maps, problem.weights, record)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, **dict(zip(_FIELDS, arrays)))
+            np.savez(
+                file,
+                n_nodes=np.int64(problem.n_nodes),
+                edges=problem.edges,
+                maps=problem.maps,
+                weights=problem.weights,
+                provenance=record,
+            )
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)

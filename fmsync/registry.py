@@ -3,19 +3,22 @@
 import difflib
 import inspect
 from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+Entry = TypeVar("Entry", bound=Callable[..., object])
 
 
-class Registry(dict):
+class Registry(dict[str, Entry]):
     """Callables by name; ``given`` are the arguments that every one takes and no user passes as an option."""
 
-    def __init__(self, kind: str, given: tuple[str, ...]):
+    def __init__(self, kind: str, given: tuple[str, ...]) -> None:
         super().__init__()
         self._kind, self._given = kind, given
 
-    def register(self, name: str) -> Callable:
+    def register(self, name: str) -> Callable[[Entry], Entry]:
         """Decorator that keeps what it decorates under a name."""
 
-        def keep(entry: Callable) -> Callable:
+        def keep(entry: Entry) -> Entry:
             self[name] = entry
             return entry
 
@@ -25,7 +28,7 @@ class Registry(dict):
         """All names."""
         return sorted(self)
 
-    def find(self, method: str, options: Mapping[str, object]) -> tuple[Callable, list[str]]:
+    def find(self, method: str, options: Mapping[str, object]) -> tuple[Entry, list[str]]:
         """The entry and the options it knows; a ValueError with the nearest names, or with the options it does know."""
         if method not in self:
             close = difflib.get_close_matches(method, self.names())

@@ -7,6 +7,7 @@ intrinsic-Delaunay "tufted" Laplacian of Sharp & Crane (2020).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
@@ -47,7 +48,7 @@ class Shape:
     faces: np.ndarray | None = None
     name: str = "shape"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
         object.__setattr__(self, "vertices", _read_only(vertices))
         object.__setattr__(self, "faces", None if faces is None else _read_only(faces))
@@ -100,7 +101,7 @@ class Basis:
     eigenfunctions: np.ndarray
     mass: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
             object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
@@ -263,7 +264,7 @@ def _triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)  # (F,)
 
 
-def _checked_mesh(vertices, faces, name: str) -> tuple[np.ndarray, np.ndarray | None]:
+def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices as float64 and faces as int64 (or None), or a ValueError that names the first offender."""
     vertices = np.asarray(vertices, dtype=np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:

@@ -6,6 +6,8 @@ Frobenius one, :math:`\langle A, B\rangle = \operatorname{tr}(A^\top B)`, so tha
 ours divided by √2.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.linalg import expm, schur
 
@@ -243,8 +245,8 @@ def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.rando
     >>> so.random_uniform(4, 2, rng=0).shape
     (2, 4, 4)
     """
-    size = (size,) if np.isscalar(size) else tuple(size)
-    q = qf(np.random.default_rng(rng).standard_normal((*size, n, n)))
+    shape = tuple(size) if isinstance(size, Iterable) else (size,)
+    q = qf(np.random.default_rng(rng).standard_normal((*shape, n, n)))
     q[..., :, 0] *= np.sign(np.linalg.det(q))[..., None]
     return q
 

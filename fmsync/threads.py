@@ -1,5 +1,6 @@
 """One BLAS thread around loops over small matrices: two make 20 x 20 products several times slower."""
 
+from contextlib import AbstractContextManager
 from functools import cache
 
 from threadpoolctl import ThreadpoolController
@@ -10,6 +11,6 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()  # looking through the loaded libraries takes milliseconds, so it is done once
 
 
-def single_threaded_blas():
+def single_threaded_blas() -> AbstractContextManager[object]:
     """Context manager that limits BLAS to one thread."""
     return _controller().limit(limits=1, user_api="blas")
