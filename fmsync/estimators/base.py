@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from fmsync.registry import Registry
 Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolute (N,n,n), cost, gradient norm)
 
 #: Estimators by name.
-ESTIMATORS = Registry("estimator", given=("problem", "rng", "callback"))
+ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ class Estimate:
 
     @classmethod
     def from_absolute(
-        cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields
+        cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields: Any
     ) -> "Estimate":
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
         absolute = fix_gauge(nearest(absolute, group))
@@ -88,7 +89,7 @@ class Estimate:
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
 
 
-def estimator(name: str) -> Callable:
+def estimator(name: str) -> Callable[[Callable[..., Estimate]], Callable[..., Estimate]]:
     """Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name."""
     return ESTIMATORS.register(name)
 

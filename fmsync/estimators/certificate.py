@@ -102,7 +102,7 @@ def _minimum(problem: SyncProblem, multipliers: np.ndarray) -> float:
     observed = np.sqrt((problem.maps**2).sum((1, 2)).max())  # bounds every operator norm
     shift = np.linalg.norm(multipliers, ord=2, axis=(1, 2)).max() + observed * problem.degrees.max()
 
-    def shifted(x):
+    def shifted(x: np.ndarray) -> np.ndarray:
         rows = x.reshape(n_nodes, 1, n)
         return (shift * rows - rows @ multipliers + neighbour_sums(problem, rows)).ravel()
 

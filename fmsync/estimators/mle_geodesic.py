@@ -1,6 +1,7 @@
 """Least squares of geodesic distances: the maximum likelihood estimate under the paper's Riemannian Gaussian."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,6 +12,8 @@ from fmsync.estimators.base import Callback, Estimate, Trace, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.problem import SyncProblem, relative_maps
 from fmsync.so import transpose
+
+Pairs = list[tuple[np.ndarray, np.ndarray]]  # steps, and the changes of the gradient along them
 
 _MEMORY = 10  # pairs of the quasi-Newton model
 _SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
@@ -65,7 +68,8 @@ def mle_geodesic(
     absolute = starting_point(problem, init, rng)
     began = time.perf_counter()
     cost, gradient = _evaluate(problem, observed, absolute)
-    history, pairs = [], []
+    history: list[tuple[float, float, float]] = []
+    pairs: Pairs = []
 
     def record() -> float:
         norm = float(np.linalg.norm(gradient))
@@ -117,7 +121,7 @@ def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) 
     return cost, gradient
 
 
-def _laplacian_inverse(problem: SyncProblem):
+def _laplacian_inverse(problem: SyncProblem) -> Callable[[np.ndarray], np.ndarray]:
     """The inverse of twice the scalar graph Laplacian, applied to every entry of (N, n, n); node 1 is held."""
     n_nodes, (i, j) = problem.n_nodes, problem.edges.T
     ends = (np.concatenate([i, j]), np.concatenate([j, i]))
@@ -133,7 +137,7 @@ def _laplacian_inverse(problem: SyncProblem):
     return apply
 
 
-def _two_loop(gradient: np.ndarray, pairs: list, metric) -> np.ndarray:
+def _two_loop(gradient: np.ndarray, pairs: Pairs, metric: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """The inverse quasi-Newton matrix times the gradient (Nocedal & Wright, algorithm 7.4)."""
     q, shares = gradient.copy(), []
     for step, change in reversed(pairs):
@@ -146,7 +150,9 @@ def _two_loop(gradient: np.ndarray, pairs: list, metric) -> np.ndarray:
     return result
 
 
-def _backtrack(problem, observed, absolute, direction, cost, slope):
+def _backtrack(
+    problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray, direction: np.ndarray, cost: float, slope: float
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray] | None:
     """(step, rotations, cost, gradient) after the first halving that Armijo accepts, or None."""
     length = 1.0
     rounding = 1e-14 * max(1.0, cost)

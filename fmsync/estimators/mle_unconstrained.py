@@ -112,20 +112,22 @@ def _gradient_norm(problem: SyncProblem, absolute: np.ndarray) -> float:
     return float(2 * np.linalg.norm(_half_gradient(problem, absolute)[1:]))
 
 
-def _conjugate_gradients(problem, rng, callback, tolerance, max_iterations) -> tuple[np.ndarray, bool, Trace]:
+def _conjugate_gradients(
+    problem: SyncProblem, rng: np.random.Generator, callback: Callback, tolerance: float, max_iterations: int
+) -> tuple[np.ndarray, bool, Trace]:
     n_nodes, n = problem.n_nodes, problem.n
     recorder = Recorder(callback)
     absolute = rng.standard_normal((n_nodes, n, n)) / np.sqrt(n)
     absolute[0] = np.eye(n)
 
-    def apply(direction):  # K on C_2..C_N
+    def apply(direction: np.ndarray) -> np.ndarray:  # K on C_2..C_N
         return _half_gradient(problem, np.concatenate([np.zeros((1, n, n)), direction]))[1:]
 
     residual = -_half_gradient(problem, absolute)[1:]
     direction, slope = residual, np.vdot(residual, residual)
     for iteration in range(max_iterations + 1):
         norm = 2 * np.sqrt(slope)
-        recorder(absolute, unconstrained_energy(problem, absolute), norm)
+        recorder(absolute, float(unconstrained_energy(problem, absolute)), norm)
         if norm <= tolerance or iteration == max_iterations:
             break
         curved = apply(direction)

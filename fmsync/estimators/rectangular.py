@@ -10,12 +10,13 @@ Inside, blocks are padded with zero columns to a common width, so that everythin
 
 import itertools
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
@@ -28,7 +29,7 @@ from fmsync.threads import single_threaded_blas
 _DENSE_UP_TO = 1000  # matrix size
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class RectangularSyncProblem:
     """Observed maps of unequal sizes on the edges of a connected graph.
 
@@ -59,19 +60,22 @@ class RectangularSyncProblem:
 
     n_nodes: int
     edges: np.ndarray
-    maps: Sequence[np.ndarray]
-    weights: np.ndarray | None = None
+    maps: tuple[np.ndarray, ...]
+    weights: np.ndarray
+    sizes: np.ndarray = field(init=False, repr=False)
 
-    def __post_init__(self):
-        edges = validated_edges(self.n_nodes, self.edges)
-        maps = tuple(np.array(observed, dtype=float) for observed in self.maps)
-        if len(maps) != len(edges):
-            raise ValueError(f"maps: {len(maps)} maps for {len(edges)} edges; give one map per edge")
-        weights = np.ones(len(edges)) if self.weights is None else np.array(self.weights, dtype=float)
+    def __init__(
+        self, n_nodes: int, edges: ArrayLike, maps: Iterable[ArrayLike], weights: ArrayLike | None = None
+    ) -> None:
+        edges = validated_edges(n_nodes, edges)
+        checked = tuple(np.array(observed, dtype=float) for observed in maps)
+        if len(checked) != len(edges):
+            raise ValueError(f"maps: {len(checked)} maps for {len(edges)} edges; give one map per edge")
+        weights = np.ones(len(edges)) if weights is None else np.array(weights, dtype=float)
         if weights.shape != (len(edges),):
             raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
-        sizes, first = np.zeros(self.n_nodes, dtype=np.int64), np.zeros(self.n_nodes, dtype=np.int64)
-        for e, ((i, j), observed, weight) in enumerate(zip(edges.tolist(), maps, weights)):
+        sizes, first = np.zeros(n_nodes, dtype=np.int64), np.zeros(n_nodes, dtype=np.int64)
+        for e, ((i, j), observed, weight) in enumerate(zip(edges.tolist(), checked, weights)):
             name = f"edge {e} ({i}, {j})"
             if observed.ndim != 2 or 0 in observed.shape:
                 raise ValueError(f"maps: {name} has shape {observed.shape}; expected a matrix (n_i, n_j)")
@@ -88,7 +92,8 @@ class RectangularSyncProblem:
                         f"{sizes[node]}; use one basis per shape"
                     )
             observed.setflags(write=False)
-        for name, value in (("edges", edges), ("maps", maps), ("weights", weights), ("sizes", sizes)):
+        object.__setattr__(self, "n_nodes", n_nodes)
+        for name, value in (("edges", edges), ("maps", checked), ("weights", weights), ("sizes", sizes)):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -196,8 +201,8 @@ def solve_rectangular(
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
     gauge = _basis(absolute[0][:, : problem.sizes[0]])
-    absolute = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
-    return RectangularEstimate(problem, absolute, float(trace.cost[-1]), len(trace.cost) - 1, converged, trace)
+    frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
+    return RectangularEstimate(problem, frames, float(trace.cost[-1]), len(trace.cost) - 1, converged, trace)
 
 
 class Frames:
@@ -206,7 +211,7 @@ class Frames:
     Tangent arrays are ambient: V with :math:`C_i^\\top V_i` skew-symmetric and zero columns past n_i.
     """
 
-    def __init__(self, problem: RectangularSyncProblem, m: int):
+    def __init__(self, problem: RectangularSyncProblem, m: int) -> None:
         self._problem = problem
         k = problem.padded.shape[-1]
         self._absent = np.arange(k) >= problem.sizes[:, None]  # (N, k)
@@ -253,7 +258,9 @@ class Frames:
         return total
 
 
-def _starting_frames(problem, m, init, rng) -> np.ndarray:
+def _starting_frames(
+    problem: RectangularSyncProblem, m: int, init: str | Sequence[np.ndarray], rng: np.random.Generator
+) -> np.ndarray:
     """Orthonormal columns (N, m, k), zero past n_i."""
     k = int(problem.sizes.max())
     start = np.zeros((problem.n_nodes, m, k))

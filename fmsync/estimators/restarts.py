@@ -1,5 +1,7 @@
 """The paper's mean over several starts of one optimiser."""
 
+from typing import Any
+
 import numpy as np
 
 from fmsync import so
@@ -15,7 +17,7 @@ def mean_of_starts(
     *,
     rng: int | np.random.Generator = 0,
     distance: str = "geodesic",
-    **options,
+    **options: Any,
 ) -> tuple[Estimate, list[Estimate]]:
     """The paper's protocol: independent random starts, gauges aligned, Fréchet mean of every absolute map.
 

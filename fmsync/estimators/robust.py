@@ -3,6 +3,7 @@
 import copy
 import time
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -82,14 +83,16 @@ def robust(
     """
     if loss not in LOSSES:
         raise ValueError(f"loss: one of {', '.join(LOSSES)}, not {loss!r}")
-    limits = {"tolerance": tolerance, "max_iterations": max_iterations}
     absolute = starting_point(problem, init, rng, group)
+    rule: _Rule
     if loss == "l1":
         rule = _L1(problem)
     else:
         absolute = _reweigh(problem, _L1(problem), absolute, callback=None, tolerance=1e-2, max_iterations=50)[0]
         rule = (_GemanMcClure if loss == "geman-mcclure" else _Mixture)(problem, _squares(problem, absolute))
-    absolute, cost, weights, converged, trace = _reweigh(problem, rule, absolute, callback=callback, **limits)
+    absolute, cost, weights, converged, trace = _reweigh(
+        problem, rule, absolute, callback=callback, tolerance=tolerance, max_iterations=max_iterations
+    )
     return Estimate.from_absolute(
         problem,
         absolute,
@@ -103,7 +106,15 @@ def robust(
     )
 
 
-def _reweigh(problem, rule, absolute, *, callback, tolerance, max_iterations):
+def _reweigh(
+    problem: SyncProblem,
+    rule: "_Rule",
+    absolute: np.ndarray,
+    *,
+    callback: Callback | None,
+    tolerance: float,
+    max_iterations: int,
+) -> tuple[np.ndarray, float, np.ndarray, bool, Trace]:
     """Rounds of weights and weighted least squares: (rotations, cost, believed weights, converged, trace)."""
     began = time.perf_counter()
     history = []
@@ -141,12 +152,18 @@ def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
     return new
 
 
+class _Rule(Protocol):
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
+        """The cost of squared residuals (E,), and how far each edge is believed."""
+        ...
+
+
 class _L1:
-    def __init__(self, problem: SyncProblem):
+    def __init__(self, problem: SyncProblem) -> None:
         self._problem = problem
         self._smooth = _SMOOTH * np.sqrt(problem.n)
 
-    def update(self, squares):
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
         distance = np.sqrt(squares + self._smooth**2)
         cost = float(self._problem.weights @ distance)
         return cost, distance.min() / distance
@@ -157,7 +174,7 @@ class _GemanMcClure:
         self._problem = problem
         self._scale = max(1.5**2 * float(np.median(squares)), _SMOOTH**2 * problem.n)
 
-    def update(self, squares):
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
         cost = float(self._problem.weights @ (self._scale * squares / (self._scale + squares)))
         return cost, (self._scale / (self._scale + squares)) ** 2
 
@@ -169,16 +186,16 @@ class _Mixture:
     problem: SyncProblem
     first: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self._believed = (self.first <= 1.5**2 * np.median(self.first)).astype(float)
         self._size = (self.problem.maps**2).sum((1, 2)) + self.problem.n  # r² = size - 2 tr
 
-    def update(self, squares):
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
         n, weights = self.problem.n, self.problem.weights
         trace = (self._size - squares) / 2
         believed = weights * self._believed
         cosine = float(believed @ trace / believed.sum() / n)
-        kappa = langevin.matched_kappa(n, min(cosine, langevin.mean_cosine(n, _LARGEST_KAPPA)))
+        kappa = langevin.matched_kappa(n, min(cosine, float(langevin.mean_cosine(n, _LARGEST_KAPPA))))
         outliers = float(np.clip(1 - believed.sum() / weights.sum(), 1e-3, 1 - 1e-3))
         inlier = np.log1p(-outliers) + kappa * trace - langevin.log_normaliser(n, kappa)
         total = np.logaddexp(inlier, np.log(outliers))

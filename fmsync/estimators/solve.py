@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ def solve(
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
     restarts: int | None = None,
-    **options,
+    **options: Any,
 ) -> Estimate:
     """Estimate the absolute maps of a problem; BLAS runs single-threaded meanwhile, which small products like.
 
@@ -86,7 +87,9 @@ def solve(
     return estimate
 
 
-def best_of_starts(problem: SyncProblem, method: str, restarts: int, rng: np.random.Generator, **options) -> Estimate:
+def best_of_starts(
+    problem: SyncProblem, method: str, restarts: int, rng: np.random.Generator, **options: Any
+) -> Estimate:
     """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
 
     What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came

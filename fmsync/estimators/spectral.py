@@ -1,5 +1,7 @@
 """The eigenvector relaxation of Singer (2011): a start for every other estimator, and hard to beat at low noise."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -78,7 +80,7 @@ def _leading_eigenvectors(
     scale = scale[:, None].astype(precision)
     maps = None if problem.is_dense else problem.maps.astype(precision, copy=False)
 
-    def multiply(x):  # (N n, n)
+    def multiply(x: np.ndarray) -> np.ndarray:  # (N n, n)
         blocks = (scale * x).reshape(problem.n_nodes, n, n)
         if problem.is_dense:
             sums = so.transpose(neighbour_sums(problem, so.transpose(blocks)))
@@ -90,7 +92,7 @@ def _leading_eigenvectors(
     return _block_krylov(multiply, _orthonormal(start)[0], tolerance)
 
 
-def _block_krylov(multiply, x: np.ndarray, tolerance: float) -> np.ndarray:
+def _block_krylov(multiply: Callable[[np.ndarray], np.ndarray], x: np.ndarray, tolerance: float) -> np.ndarray:
     """Leading eigenvectors (size, n) of a symmetric operator by restarted block Lanczos, from orthonormal x (size, n).
 
     Past the recovery threshold there is no gap to converge by: after the last cycle the best there is is returned.
