@@ -9,7 +9,7 @@ from fmsync.problem import LangevinPrior, SyncProblem, anchored
 from fmsync.registry import Registry
 
 #: Sampler classes by name.
-SAMPLERS = Registry("sampler", given=("problem", "start", "rng", "prior"))
+SAMPLERS: "Registry[Callable[..., Sampler]]" = Registry("sampler", given=("problem", "start", "rng", "prior"))
 
 
 class Sampler(Protocol):
@@ -32,7 +32,11 @@ class Sampler(Protocol):
     kappa: np.ndarray
     ceiling: np.ndarray
     advice: str
-    settings: Mapping[str, object]
+
+    @property
+    def settings(self) -> Mapping[str, object]:
+        """Plain values that it chose or was given."""
+        ...
 
     @property
     def state(self) -> np.ndarray:
@@ -52,7 +56,7 @@ class Sampler(Protocol):
         ...
 
 
-def sampler(name: str) -> Callable[[type], type]:
+def sampler(name: str) -> Callable[[Callable[..., Sampler]], Callable[..., Sampler]]:
     """Register a sampler class under a name."""
     return SAMPLERS.register(name)
 
@@ -69,7 +73,7 @@ def methods() -> list[str]:
     return SAMPLERS.names()
 
 
-def concentration(kappa: float | None, beta: float | None) -> float:
+def concentration(kappa: float | str | None, beta: float | None) -> float:
     """κ from κ or β, of which one at most is given: κ = 2β, and β = 1 where neither is."""
     if kappa is not None and beta is not None:
         raise ValueError("kappa, beta: give one of them, they are the same temperature (kappa = 2 beta)")

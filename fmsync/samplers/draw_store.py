@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 
@@ -13,11 +14,11 @@ class DrawStore:
     stays on disk.
     """
 
-    def __init__(self, store: str | Path | None, n_draws: int, state_shape: tuple[int, ...]):
+    def __init__(self, store: str | Path | None, n_draws: int, state_shape: tuple[int, ...]) -> None:
         shape = (state_shape[0], n_draws, *state_shape[1:])
-        self.done, self._path, self._part = 0, None, None
+        self.done = 0
+        self._array: np.ndarray | None = None  # a memory map where draws go to a file
         if store is None:
-            self._array = None
             self._empty = np.empty((shape[0], 0, *shape[2:]))
         elif store == "memory":
             self._array = np.empty(shape)
@@ -38,22 +39,23 @@ class DrawStore:
     def __enter__(self) -> "DrawStore":
         return self
 
-    def __exit__(self, kind, error, trace) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._array is None:
             self.result = self._empty
-        elif self._path is None:
+        elif not isinstance(self._array, np.memmap):
             self.result = self._array[:, : self.done]
         elif kind is not None:
             self._array = None
             self._part.unlink()
         else:
-            self._finish()
+            self._finish(self._array)
 
-    def _finish(self) -> None:
+    def _finish(self, array: np.memmap) -> None:
         """Cut the file to the draws made, put it in place and open it to read."""
-        array, complete = self._array, self._array.shape[1]
         array.flush()
-        if self.done < complete:  # draws are the second axis: the rest is copied, one chain at a time
+        if self.done < array.shape[1]:  # draws are the second axis: the rest is copied, one chain at a time
             cut = self._part.with_name(self._part.name + ".cut")
             shape = (array.shape[0], self.done, *array.shape[2:])
             shorter = np.lib.format.open_memmap(cut, mode="w+", dtype=float, shape=shape)

@@ -162,7 +162,11 @@ class HeatBath:
             if len(nodes) < _LEAST_COLOUR * self.crew.size:
                 sweep(slice(None), nodes)
             else:
-                self.crew.share(lambda a, b, nodes=nodes: sweep(slice(None), nodes[a:b]), len(nodes))
+
+                def some(a: int, b: int, nodes: np.ndarray = nodes) -> None:
+                    sweep(slice(None), nodes[a:b])
+
+                self.crew.share(some, len(nodes))
 
     def _share(self, work: Callable[[int, int], None], count: int) -> None:
         if self._heavy:

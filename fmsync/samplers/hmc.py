@@ -12,6 +12,8 @@ from fmsync.samplers.heat_bath import prior_field
 from fmsync.samplers.noise_level import Concentration
 from fmsync.samplers.random_streams import generators
 
+Evaluated = tuple[np.ndarray, np.ndarray, np.ndarray]  # energy (K,), potential (K,), gradient (K, N, n, n)
+
 _POLISH_EVERY = 50  # transitions between two repairs of orthogonality
 _MOST_STEPS = 200  # of one trajectory
 _SETTLE = 100  # transitions of the warm-up before an unknown noise level moves
@@ -52,6 +54,9 @@ class HMC:
     """  # noqa: E501
 
     _target = 0.8
+    _observed: np.ndarray
+    _potential: np.ndarray
+    _gradient: np.ndarray
 
     def __init__(
         self,
@@ -73,11 +78,12 @@ class HMC:
         ):
             if value not in choices:
                 raise ValueError(f"{name}: {' or '.join(map(repr, choices))}, not {value!r}")
-        for name, value in (("step", step), ("length", length)):
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: must be finite and > 0, got {value}; leave it out to have it adapted")
+        for name, size in (("step", step), ("length", length)):
+            if size is not None and not (np.isfinite(size) and size > 0):
+                raise ValueError(f"{name}: must be finite and > 0, got {size}; leave it out to have it adapted")
         self._problem, self._rng, self._euclidean = problem, rng, energy == "euclidean"
-        self._exp, self._level = integrator == "exp", None
+        self._exp = integrator == "exp"
+        self._level: Concentration | None = None
         self._field = so.transpose(prior_field(problem, prior))  # κ_i M_i, or empty
         if self._euclidean:
             self._level = Concentration(problem, prior, kappa, beta, len(start), rng)
@@ -140,17 +146,18 @@ class HMC:
             if self._adapting:
                 self._step, self._adapting = self._averaging.average, False
             self._accepted, self._tried = self._accepted + float(chance.mean()), self._tried + 1
-        if self._inferred and not (warming and self._age < _SETTLE):
+        if self._level is not None and self._inferred and not (warming and self._age < _SETTLE):
             self._level.update((self._problem.constant - self._observed) / 2, self._states)
             self.refresh()
         if self._age % _POLISH_EVERY == 0:
             self._c = langevin_kernels.polish(self._c)
             self.refresh()
 
-    def trajectory(self, c: np.ndarray, p: np.ndarray, gradient: np.ndarray, count: int) -> tuple:
+    def trajectory(
+        self, c: np.ndarray, p: np.ndarray, gradient: np.ndarray, count: int
+    ) -> tuple[np.ndarray, np.ndarray, Evaluated]:
         """End point, momenta and :meth:`evaluate` there, after ``count`` steps from rotations c with momenta p."""
         eps = self._step[:, None, None, None]
-        evaluated = None
         for _ in range(count):
             p = p - eps / 2 * gradient
             c = self._move(c, eps * p)
@@ -159,7 +166,7 @@ class HMC:
             p = p - eps / 2 * gradient
         return c, p, evaluated
 
-    def evaluate(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(self, c: np.ndarray) -> Evaluated:
         """Energy of the observations (K,), potential (K,) with temperature and prior, its gradient (K, N, n, n)."""
         if self._euclidean:
             sums = neighbour_sums(self._problem, c)

@@ -46,7 +46,7 @@ _REACH_12, _REACH_18 = 0.56, 1.6
 
 
 @numba.njit(cache=True)
-def rotate(c, omega):
+def rotate(c: np.ndarray, omega: np.ndarray) -> None:
     r"""Move along geodesics in place: :math:`C \leftarrow C\exp(\Omega)`, c and omega both C-contiguous (B, n, n).
 
     The polynomial and the number of squarings are chosen for every matrix by the bound
@@ -79,7 +79,7 @@ def rotate(c, omega):
 
 
 @numba.njit(cache=True)
-def _combine(row, a, a2, a3, out):
+def _combine(row: np.ndarray, a: np.ndarray, a2: np.ndarray, a3: np.ndarray, out: np.ndarray) -> None:
     """Out = row[0] I + row[1] A + row[2] A² + row[3] A³."""
     n = len(a)
     for r in range(n):
@@ -89,7 +89,7 @@ def _combine(row, a, a2, a3, out):
 
 
 @numba.njit(cache=True)
-def _taylor_12(a, a2, a3, x, y, e):
+def _taylor_12(a: np.ndarray, a2: np.ndarray, a3: np.ndarray, x: np.ndarray, y: np.ndarray, e: np.ndarray) -> None:
     _combine(_T12[3], a, a2, a3, x)
     np.dot(x, x, y)
     _combine(_T12[2], a, a2, a3, x)
@@ -102,7 +102,7 @@ def _taylor_12(a, a2, a3, x, y, e):
 
 
 @numba.njit(cache=True)
-def _taylor_18(a, a2, a3, x, y, e):
+def _taylor_18(a: np.ndarray, a2: np.ndarray, a3: np.ndarray, x: np.ndarray, y: np.ndarray, e: np.ndarray) -> None:
     a6 = np.dot(a3, a3)
     _combine(_T18[0], a, a2, a3, x)
     _combine(_T18[4], a, a2, a3, e)
@@ -121,7 +121,9 @@ def _taylor_18(a, a2, a3, x, y, e):
 
 
 @numba.njit(cache=True)
-def langevin_tangents(c, sums, noise, drift, spread):
+def langevin_tangents(
+    c: np.ndarray, sums: np.ndarray, noise: np.ndarray, drift: np.ndarray, spread: np.ndarray
+) -> np.ndarray:
     r"""Tangent vectors (B, n, n) :math:`\Omega = 2\,\mathrm{drift}\,\mathrm{skew}(C^\top S) + \mathrm{spread}\,W`.
 
     W is a standard normal skew-symmetric matrix in the Frobenius product: entries above the diagonal are ``noise``

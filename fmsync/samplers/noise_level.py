@@ -41,7 +41,7 @@ def normaliser_table(n: int) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def interpolated_log_normaliser(kappa, table):
+def interpolated_log_normaliser(kappa: float, table: np.ndarray) -> float:
     """log c_n(κ) from the table of n, with a relative error below 1e-8."""
     knots = table.shape[1]
     width = np.log1p(100000.0) / (knots - 1)
@@ -55,7 +55,7 @@ def interpolated_log_normaliser(kappa, table):
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_kappa(kappa, trace, count, n, table, state):
+def draw_kappa(kappa: float, trace: float, count: float, n: int, table: np.ndarray, state: np.ndarray) -> float:
     """New κ given T = trace and E = count, by slice sampling of its log-concave density."""
     dim = n * (n - 1) / 2
     for _ in range(_UPDATES):

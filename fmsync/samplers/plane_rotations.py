@@ -18,7 +18,7 @@ def rounds(n: int) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def colours(start, other):
+def colours(start: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A greedy colouring: nodes in the order of their colours, and where each colour begins (C + 1,).
 
     Nodes of one colour are not neighbours: what one does is nothing to the others, in whatever order they are visited.
@@ -39,7 +39,9 @@ def colours(start, other):
 
 
 @numba.njit(cache=True, nogil=True)
-def node_blocks(maps, weights, start, edge, forward, out):
+def node_blocks(
+    maps: np.ndarray, weights: np.ndarray, start: np.ndarray, edge: np.ndarray, forward: np.ndarray, out: np.ndarray
+) -> None:
     r"""What every neighbour says, side by side: out (2E n²,) holds at ``start[i] n²`` the (n, deg n) blocks of node i.
 
     With them :math:`S_i^\top` is one product with the stacked transposed maps of the neighbours.
@@ -57,7 +59,19 @@ def node_blocks(maps, weights, start, edge, forward, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def sweep_chains(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+def sweep_chains(
+    x: np.ndarray,
+    blocks: np.ndarray,
+    start: np.ndarray,
+    other: np.ndarray,
+    field: np.ndarray,
+    kappa: np.ndarray,
+    over_relaxations: int,
+    planes: np.ndarray,
+    nodes: np.ndarray,
+    states: np.ndarray,
+    gains: np.ndarray,
+) -> None:
     """:func:`sweep` for all of x (K, N, n, n); blocks (K, 2E n²), or (1, 2E n²) where all chains read the same."""
     for k in range(len(x)):
         block = blocks[k if len(blocks) > 1 else 0]
@@ -65,7 +79,19 @@ def sweep_chains(x, blocks, start, other, field, kappa, over_relaxations, planes
 
 
 @numba.njit(cache=True, nogil=True)
-def sweep(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes, states, gains):
+def sweep(
+    x: np.ndarray,
+    blocks: np.ndarray,
+    start: np.ndarray,
+    other: np.ndarray,
+    field: np.ndarray,
+    kappa: float,
+    over_relaxations: int,
+    planes: np.ndarray,
+    nodes: np.ndarray,
+    states: np.ndarray,
+    gains: np.ndarray,
+) -> None:
     r"""Visit nodes of one chain: each is over-relaxed some times, then drawn by the heat bath.
 
     Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
@@ -129,7 +155,7 @@ def sweep(x, blocks, start, other, field, kappa, over_relaxations, planes, nodes
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _inner(a, b):
+def _inner(a: np.ndarray, b: np.ndarray) -> float:
     total = 0.0
     for r in range(a.shape[0]):
         for s in range(a.shape[1]):
@@ -138,7 +164,7 @@ def _inner(a, b):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over_relax(rows, planes, angles):
+def _over_relax(rows: np.ndarray, planes: np.ndarray, angles: np.ndarray) -> None:
     along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
     for pairs in planes:
         _read(rows, pairs, along, across)
@@ -151,7 +177,7 @@ def _over_relax(rows, planes, angles):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _draw(rows, planes, angles, state, pool):
+def _draw(rows: np.ndarray, planes: np.ndarray, angles: np.ndarray, state: np.ndarray, pool: np.ndarray) -> None:
     along, across, cosine, sine, size = angles[0], angles[1], angles[2], angles[3], angles[4]
     spare, at = np.empty(len(size)), POOL
     for pairs in planes:
@@ -169,14 +195,14 @@ def _draw(rows, planes, angles, state, pool):
 
 
 @numba.njit(cache=True, nogil=True)
-def _read(rows, pairs, along, across):
+def _read(rows: np.ndarray, pairs: np.ndarray, along: np.ndarray, across: np.ndarray) -> None:
     for p in range(len(pairs)):
         a, b = pairs[p, 0], pairs[p, 1]
         along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def rotate_rows(rows, pairs, cosine, sine):
+def rotate_rows(rows: np.ndarray, pairs: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> None:
     """Rotate pairs of rows, first ← c first + s second, second ← c second - s first."""
     width = rows.shape[1]
     for k in range(len(pairs)):

@@ -22,6 +22,8 @@ from fmsync.samplers.noise_level import matched_to_spectral
 from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
 from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
 
+Work = Callable[[int, int], None]  # on chains first .. last
+
 LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
 _LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
 
@@ -43,7 +45,7 @@ class Stretches:
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable) -> None:
+    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable[[Work, int], None]) -> None:
         """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
         p = self._problem
         start, edge, _, forward = p.incidence
@@ -52,16 +54,32 @@ class Stretches:
         planes = self._halves[parity]
 
         def some(first: int, last: int) -> None:
-            chains = (a[first:last] for a in (x, self._vectors, self._values, self.sigma2, self.blocks, states))
-            stretch_chains(*chains, p.edges, p.maps, planes, parity, levels, start, edge, forward)
+            own = slice(first, last)
+            stretch_chains(
+                x[own], self._vectors[own], self._values[own], self.sigma2[own], self.blocks[own], states[own],
+                p.edges, p.maps, planes, parity, levels, start, edge, forward,
+            )  # fmt: skip
 
         share(some, len(x))
 
 
 @numba.njit(cache=True, nogil=True)
 def stretch_chains(
-    x, vectors, values, sigma2, blocks, states, edges, maps, planes, parity, levels, start, edge, forward
-):
+    x: np.ndarray,
+    vectors: np.ndarray,
+    values: np.ndarray,
+    sigma2: np.ndarray,
+    blocks: np.ndarray,
+    states: np.ndarray,
+    edges: np.ndarray,
+    maps: np.ndarray,
+    planes: np.ndarray,
+    parity: int,
+    levels: bool,
+    start: np.ndarray,
+    edge: np.ndarray,
+    forward: np.ndarray,
+) -> None:
     """:func:`stretch_step` for every chain, σ² and blocks written."""
     stretched, ones = np.empty(maps.shape), np.ones(len(maps))
     for k in range(len(x)):
@@ -72,7 +90,19 @@ def stretch_chains(
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, parity, stretched, state):
+def stretch_step(
+    x: np.ndarray,
+    edges: np.ndarray,
+    maps: np.ndarray,
+    vectors: np.ndarray,
+    values: np.ndarray,
+    sigma2: float,
+    levels: bool,
+    planes: np.ndarray,
+    parity: int,
+    stretched: np.ndarray,
+    state: np.ndarray,
+) -> float:
     """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
     C P goes to ``stretched`` (E, n, n).
@@ -118,7 +148,17 @@ def stretch_step(x, edges, maps, vectors, values, sigma2, levels, planes, parity
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def rotate_eigenvectors(rows, diagonal, values, sigma2, planes, angles, state, pool, at):
+def rotate_eigenvectors(
+    rows: np.ndarray,
+    diagonal: np.ndarray,
+    values: np.ndarray,
+    sigma2: float,
+    planes: np.ndarray,
+    angles: np.ndarray,
+    state: np.ndarray,
+    pool: np.ndarray,
+    at: int,
+) -> int:
     r"""Gibbs draws of planes of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
 
     With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
@@ -159,7 +199,7 @@ def rotate_eigenvectors(rows, diagonal, values, sigma2, planes, angles, state, p
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _log_density(squares, least, x, mean, sigma2):
+def _log_density(squares: np.ndarray, least: float, x: float, mean: float, sigma2: float) -> float:
     """Logarithm of the density of an eigenvalue at x given the squares and the least of the others."""
     if x + least <= 0:
         return -np.inf
@@ -173,7 +213,7 @@ def _log_density(squares, least, x, mean, sigma2):
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_eigenvalues(values, diagonal, sigma2, parity, state):
+def draw_eigenvalues(values: np.ndarray, diagonal: np.ndarray, sigma2: float, parity: int, state: np.ndarray) -> None:
     r"""One slice for every other eigenvalue, from number ``parity`` on, by the density
 
     :math:`\prod_{c\ne k}(\lambda+\lambda_c)|\lambda-\lambda_c|\;e^{-(\lambda-B_{kk})^2/2\sigma^2}`.
@@ -206,7 +246,9 @@ def draw_eigenvalues(values, diagonal, sigma2, parity, state):
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_level(quadratic, linear, constant, dimension, sigma2, state):
+def draw_level(
+    quadratic: float, linear: float, constant: int, dimension: int, sigma2: float, state: np.ndarray
+) -> tuple[float, float]:
     r"""σ² and a factor s for all stretches, given their shapes: (σ², s).
 
     Two exact steps in turn, with Q = Σ‖P‖², L = Σ tr(P A), c the constant and :math:`\sum\lVert M-R\rVert^2 = Q-2L+c`.
@@ -227,12 +269,12 @@ def draw_level(quadratic, linear, constant, dimension, sigma2, state):
 
 
 @numba.njit(cache=True, nogil=True)
-def _normal(state):
+def _normal(state: np.ndarray) -> float:
     return np.sqrt(-2 * np.log(1 - uniform(state))) * np.cos(2 * np.pi * uniform(state))
 
 
 @numba.njit(cache=True, nogil=True)
-def _gamma(shape, state):
+def _gamma(shape: float, state: np.ndarray) -> float:
     """Marsaglia & Tsang (2000), shape >= 1."""
     d = shape - 1 / 3
     c = 1 / np.sqrt(9 * d)

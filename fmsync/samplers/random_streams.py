@@ -16,7 +16,7 @@ def generators(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _next(state, lane):
+def _next(state: np.ndarray, lane: int) -> float:
     s0, s1, s2, s3 = state[0, lane], state[1, lane], state[2, lane], state[3, lane]
     total = s0 + s3
     result = ((total << np.uint64(23)) | (total >> np.uint64(41))) + s0
@@ -32,7 +32,7 @@ def _next(state, lane):
 
 
 @numba.njit(cache=True, nogil=True)
-def fill(state, out):
+def fill(state: np.ndarray, out: np.ndarray) -> None:
     """Numbers in [0, 1) for all of ``out`` (m, 8), a column from every lane of ``state`` (4, 8), which moves on."""
     lanes = state.shape[1]
     for r in range(len(out)):
@@ -41,13 +41,13 @@ def fill(state, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def uniform(state):
+def uniform(state: np.ndarray) -> float:
     """One number in [0, 1) from the first lane of ``state`` (4, 8)."""
     return _next(state, 0)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _exp(x):
+def _exp(x: float) -> float:
     """e^x for x <= 0, off by less than 3e-14; e^-50 below -50. Of plain arithmetic, for loops of vector code."""
     t = max(x, -50.0) * (1 / 64)
     y = 1 + t * (1 / 5) * (1 + t * (1 / 6) * (1 + t * (1 / 7) * (1 + t * (1 / 8) * (1 + t * (1 / 9)))))
@@ -61,7 +61,7 @@ def _exp(x):
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _proposal(k, root_w, a, level):
+def _proposal(k: float, root_w: float, a: float, level: float) -> tuple[float, float, bool]:
     """From a in [-1, 1) and level in [0, 1): cos φ, sin φ, and whether they pass."""
     q = 1 - a * a
     root = np.sqrt(q)
@@ -74,7 +74,16 @@ def _proposal(k, root_w, a, level):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def von_mises_halves(k, cosine, sine, spare, m, state, pool, at):
+def von_mises_halves(
+    k: np.ndarray,
+    cosine: np.ndarray,
+    sine: np.ndarray,
+    spare: np.ndarray,
+    m: int,
+    state: np.ndarray,
+    pool: np.ndarray,
+    at: int,
+) -> int:
     r"""cos φ and sin φ of half angles φ = ψ/2, where ψ has density :math:`\propto e^{k\cos\psi}`, k >= 0.
 
     The tangent of ψ/4 is proposed by Student's t law with two degrees of freedom, :math:`v=\sqrt{w}\,a/\sqrt{1-a^2}`

@@ -87,7 +87,7 @@ class RLFM:
         if step is not None and not (np.isfinite(step) and step > 0):
             raise ValueError(f"step: must be finite and > 0, got {step}; leave it out for the default")
         self._n_kept, n = problems[0].n_nodes, problems[0].n
-        self._held = None
+        self._held: int | None = None
         if prior is not None:
             with_prior, start = with_anchor(problems[0], start, prior, concentrated)
             problems, self._held = (with_prior,), self._n_kept
@@ -96,7 +96,7 @@ class RLFM:
             start[:, 0] = np.eye(n)  # without the rounding
         self._problems = problems
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
-        self._sums = None  # neighbour sums of the present state, if known
+        self._sums: np.ndarray | None = None  # neighbour sums of the present state, if known
         self._rngs, self._age = rng if isinstance(rng, tuple) else (rng,), 0
         self._euclidean, self._exp, self._constrained = energy == "euclidean", retraction == "exp", constrained
         self._sign = 1.0 if drift == "descent" else -1.0

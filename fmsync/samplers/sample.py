@@ -35,7 +35,7 @@ def sample(
     prior: LangevinPrior | None = None,
     callback: Callback | None = None,
     store: str | Path | None = "memory",
-    **options,
+    **options: object,
 ) -> Posterior:
     r"""Draw the absolute maps from their posterior :math:`\propto\exp(-\beta U(C))`, all chains as one batch.
 
@@ -159,7 +159,9 @@ def _check(engine: Sampler) -> np.ndarray:
     return energy
 
 
-def starts(problem: SyncProblem, init, n_chains: int, rng: np.random.Generator) -> np.ndarray:
+def starts(
+    problem: SyncProblem, init: str | np.ndarray | Estimate, n_chains: int, rng: np.random.Generator
+) -> np.ndarray:
     """Rotations (K, N, n, n), one start for each chain."""
     if isinstance(init, str) and init in ("random", "dispersed"):
         starts = so.random_uniform(problem.n, (n_chains, problem.n_nodes), rng)

@@ -29,9 +29,9 @@ class RelativeMoments:
     (4000, (1, 4, 4), (4, 0, 3, 4, 4))
     """
 
-    def __init__(self, edges: np.ndarray, *, covariance: bool = False):
+    def __init__(self, edges: np.ndarray, *, covariance: bool = False) -> None:
         self._edges, self._with_covariance, self.count = np.asarray(edges), covariance, 0
-        self._mean = self._products = 0.0
+        self._mean = self._products = np.zeros(())
 
     def __call__(self, draw: int, state: np.ndarray, energy: np.ndarray) -> None:
         """Take in the rotations (chains, N, n, n) of one draw."""

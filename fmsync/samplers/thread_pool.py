@@ -6,7 +6,7 @@ processors this process may use; joblib sets it to its share in every worker.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import numba
 import numpy as np
@@ -15,8 +15,9 @@ import numpy as np
 class Crew:
     """Up to ``NUMBA_NUM_THREADS`` threads; they are started when first needed and end with the object."""
 
-    def __init__(self):
-        self.size, self._pool = numba.config.NUMBA_NUM_THREADS, None
+    def __init__(self) -> None:
+        self.size: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+        self._pool: ThreadPoolExecutor | None = None
 
     def share(self, work: Callable[[int, int], None], count: int) -> None:
         """Call ``work(first, last)`` for parts of 0 .. count, at the same time.
@@ -25,9 +26,11 @@ class Crew:
         """
         parts = min(self.size, count)
         ends = np.arange(parts + 1) * count // max(parts, 1)
-        if parts > 1 and self._pool is None:
-            self._pool = ThreadPoolExecutor(self.size - 1, thread_name_prefix="fmsync")
-        others = [self._pool.submit(work, ends[k], ends[k + 1]) for k in range(1, parts)]
+        others: list[Future[None]] = []
+        if parts > 1:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self.size - 1, thread_name_prefix="fmsync")
+            others = [self._pool.submit(work, ends[k], ends[k + 1]) for k in range(1, parts)]
         try:
             if parts:
                 work(ends[0], ends[1])

@@ -1,6 +1,7 @@
 """Chains of different problems as one batch: for many small problems, whose steps are mostly calls from Python."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def sample_together(
     warmup: int = 1000,
     thin: int = 1,
     init: str = "spectral",
-    **options,
+    **options: Any,
 ) -> list[Posterior]:
     """One chain of ``"rlfm"`` for each of several problems of one size, all advanced as one batch.
 
