@@ -5,10 +5,15 @@ import os
 import shutil
 import sys
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fmsync.shape import Shape
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``sync`` to a parser."""
     parser = commands.add_parser(
         "sync",
@@ -96,13 +101,13 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _unsaid(caught) -> list[str]:
+def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
     """Warnings that are not said in plain words already."""
     # of other categories: a ConvergenceWarning is one of the doubts, the rest is for programmers
     return [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
 
 
-def _landmarks(path, shapes):
+def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
     lines = [line.split() for line in path.read_text().splitlines() if line.strip()]

@@ -13,6 +13,7 @@ from fmsync.matching.doubts import doubts
 from fmsync.matching.recalibration import Recalibration, shipped
 from fmsync.matching.report import report
 from fmsync.matching.synchronize import SyncedShapes
+from fmsync.shape import Shape
 
 _README = """\
 report.html         pictures of every pair and a summary; everything is in the one file
@@ -60,6 +61,7 @@ def write_all(
         tables[i].to_csv(stem.with_name(stem.name + ".csv"), index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
+    assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
     np.savez_compressed(
         folder / "maps.npz",
@@ -112,7 +114,7 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
     )
 
 
-def _write_mesh(shape, table, stem) -> None:
+def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:
     pv = require("pyvista", "shapes")
     if shape.faces is None:
         mesh = pv.PolyData(shape.vertices)
@@ -125,7 +127,7 @@ def _write_mesh(shape, table, stem) -> None:
     _write_ply(stem.with_name(stem.name + ".ply"), shape, table)
 
 
-def _write_ply(path, shape, table) -> None:
+def _write_ply(path: Path, shape: Shape, table: pd.DataFrame | None) -> None:
     """Binary PLY with the scalars as vertex properties; MeshLab colours by ``quality``, which is the region."""
     fields = [(axis, "<f4") for axis in "xyz"] + ([] if table is None else [("quality", "<f4"), ("spread", "<f4")])
     rows = np.empty(shape.n_vertices, dtype=fields)

@@ -68,7 +68,7 @@ class Recalibration:
 
 
 def fit_recalibration(
-    known: list[Confidence], errors: list[np.ndarray], fitted_on: str = "own shapes", levels: tuple = LEVELS
+    known: list[Confidence], errors: list[np.ndarray], fitted_on: str = "own shapes", levels: tuple[float, ...] = LEVELS
 ) -> Recalibration:
     """Recalibration from true errors (S,) of each of ``known``: judge it on another collection than it was fitted on.
 

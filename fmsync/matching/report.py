@@ -91,7 +91,13 @@ def report(
     )
 
 
-def _data(synced, known, radii, edges, top) -> dict:
+def _data(
+    synced: SyncedShapes,
+    known: dict[tuple[int, int], Confidence],
+    radii: dict[tuple[int, int], np.ndarray],
+    edges: pd.DataFrame,
+    top: float,
+) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
     drawn = [_drawn(s) for s in synced.shapes]
     shapes, pairs = [], {}
@@ -144,7 +150,14 @@ def _list(lines: list[str], kind: str = "") -> str:
     return f'<ul class="{kind}">{items}</ul>' if lines else ""
 
 
-def _summary(synced, known, radii, edges, recalibration, level) -> list[str]:
+def _summary(
+    synced: SyncedShapes,
+    known: dict[tuple[int, int], Confidence],
+    radii: dict[tuple[int, int], np.ndarray],
+    edges: pd.DataFrame,
+    recalibration: Recalibration,
+    level: float,
+) -> list[str]:
     every = np.concatenate(list(radii.values()))
     double = float(np.mean([k.two_modes.mean() for k in known.values()]))
     doubted = edges[edges["believed"] < 0.5]

@@ -160,6 +160,7 @@ def orientation_operators(shape: Shape, basis: Basis, functions: np.ndarray) -> 
     derivative in f and in g would otherwise be ruled by the highest frequencies.
     """
     faces = shape.faces
+    assert faces is not None, "a point cloud has no orientation"
     smooth = basis.eigenfunctions @ basis.coefficients(functions)  # (V, K)
     corners = basis.eigenfunctions[faces]  # (F, 3, n)
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

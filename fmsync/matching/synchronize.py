@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -78,7 +79,9 @@ class SyncedShapes:
 
     def sample_images(self, i: int, j: int) -> np.ndarray:
         """(S_i,) sample of j for each sample of i."""
-        return nearest_rows(*(self.shared_functions(k, self.shapes[k].samples) for k in (i, j)))
+        return nearest_rows(
+            self.shared_functions(i, self.shapes[i].samples), self.shared_functions(j, self.shapes[j].samples)
+        )
 
     def point_map(self, i: int, j: int) -> np.ndarray:
         """(V_i,) vertex of j for each vertex of i."""
@@ -118,7 +121,7 @@ class SyncedShapes:
         for (a, b), m in zip(self.edges.tolist(), self.matches):
             observed[a, b], observed[b, a] = m.c_ij, m.c_ij.T
 
-        def images(a, b):
+        def images(a: int, b: int) -> np.ndarray:
             c = observed[a, b]
             return nearest_rows(self.shapes[a].sampled()[:, : len(c)] @ c, self.shapes[b].sampled()[:, : c.shape[1]])
 
@@ -253,7 +256,7 @@ def refuse_strangers(shapes: Sequence[SampledShape]) -> None:
         )
 
 
-def _refuse_inside_out(shapes):
+def _refuse_inside_out(shapes: Sequence[Shape]) -> None:
     """Closed meshes of negative volume have their faces, or themselves, mirrored."""
     volumes = {}
     for shape in shapes:
@@ -268,7 +271,7 @@ def _refuse_inside_out(shapes):
         )
 
 
-def _refuse_mirrored(shapes, edges, matches):
+def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches: Sequence[PairMatch]) -> None:
     ratio = np.array([m.mirrored_distortion / max(m.distortion, 1e-12) for m in matches])
     for k, shape in enumerate(shapes):
         own = ratio[(edges == k).any(axis=1)]
@@ -279,7 +282,7 @@ def _refuse_mirrored(shapes, edges, matches):
             )
 
 
-def _edges(graph, shapes) -> np.ndarray:
+def _edges(graph: str | Sequence[tuple[int, int]], shapes: Sequence[SampledShape]) -> np.ndarray:
     count = len(shapes)
     if isinstance(graph, str) and graph == "complete":
         return np.array(list(itertools.combinations(range(count), 2)))
@@ -324,7 +327,9 @@ def turns(signs: np.ndarray, n: int) -> np.ndarray:
     return turns
 
 
-def robust_maps(count, edges, matches, n, rng):
+def robust_maps(
+    count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
+) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
     maps = np.array([m.c_ij[:n, :n] for m in matches])
     signs, violating = rotation_signs(count, edges, maps)
     turn = turns(signs, n)
@@ -332,7 +337,7 @@ def robust_maps(count, edges, matches, n, rng):
     return _solved(problem, rng), signs, violating, problem
 
 
-def _solved(problem, rng, **options) -> Estimate:
+def _solved(problem: SyncProblem, rng: int | np.random.Generator, **options: Any) -> Estimate:
     """The robust answer to a part in a thousand: the maps are not better known than that."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -352,7 +357,9 @@ def _trusted(problem: SyncProblem, estimate: Estimate) -> SyncProblem:
     return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
 
 
-def _sample(problem: SyncProblem, estimate: Estimate, n_draws: int, rng, progress: bool) -> Posterior:
+def _sample(
+    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
+) -> Posterior:
     """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
     tree = problem.n_edges < problem.n_nodes
     n_chains = 4

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 from numpy.typing import ArrayLike
 from PIL import Image
 
@@ -30,7 +31,7 @@ STYLE = {
     "axes.labelsize": 12,
     "legend.fontsize": 11,
     "legend.frameon": False,
-    "axes.prop_cycle": mpl.cycler(color=PALETTE),
+    "axes.prop_cycle": cycler(color=PALETTE),
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -76,7 +77,7 @@ class Picture:
     def __repr__(self) -> str:
         return f"<Picture: {self.alt}>"
 
-    def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         return {
             "image/png": base64.b64encode(self.png).decode(),
             "text/html": f'<figure class="fm-figure">{image_tag(self.png, self.alt, self.width)}</figure>',
@@ -177,26 +178,26 @@ def heatmaps(
     >>> heatmaps([np.eye(3), -np.eye(3)], ["plus", "minus"], alt="The identity and its negative.")
     <Picture: The identity and its negative.>
     """
-    matrices = [np.asarray(m, dtype=float) for m in matrices]
-    if not matrices:
+    arrays = [np.asarray(m, dtype=float) for m in matrices]
+    if not arrays:
         raise ValueError("matrices is empty: give at least one (n, m) array")
-    for k, m in enumerate(matrices):
+    for k, m in enumerate(arrays):
         if m.ndim != 2:
             raise ValueError(f"matrices[{k}] has shape {m.shape}: give arrays of shape (n, m)")
-    titles = [""] * len(matrices) if titles is None else list(titles)
-    if len(titles) != len(matrices):
-        raise ValueError(f"{len(titles)} titles for {len(matrices)} matrices: give one each")
+    titles = [""] * len(arrays) if titles is None else list(titles)
+    if len(titles) != len(arrays):
+        raise ValueError(f"{len(titles)} titles for {len(arrays)} matrices: give one each")
     if clim is None:
-        top = max(float(np.abs(m).max()) for m in matrices)
+        top = max(float(np.abs(m).max()) for m in arrays)
         clim = (-top, top)
 
-    columns = min(columns, len(matrices))
-    rows = -(-len(matrices) // columns)
+    columns = min(columns, len(arrays))
+    rows = -(-len(arrays) // columns)
     with mpl.style.context(STYLE):
         fig, axes = plt.subplots(rows, columns, figsize=(1.55 * columns + 0.8, 1.9 * rows), squeeze=False)
-        for ax in axes.flat[len(matrices) :]:
+        for ax in axes.flat[len(arrays) :]:
             ax.set_visible(False)
-        for ax, m, title in zip(axes.flat, matrices, titles):
+        for ax, m, title in zip(axes.flat, arrays, titles):
             image = ax.imshow(m, cmap=cmap, vmin=clim[0], vmax=clim[1], interpolation="nearest")
             ax.set(title=title, xticks=[], yticks=[])
             ax.grid(False)

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 from PIL import Image
 
@@ -43,7 +45,7 @@ class Loop:
     def __repr__(self) -> str:
         return f"<Loop: {self.alt}>"
 
-    def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         moving = f"data:image/webp;base64,{base64.b64encode(self.webp).decode()}"
         with Image.open(io.BytesIO(self.webp)) as first:
             height = round(self.width * first.height / first.width)
@@ -152,7 +154,7 @@ def _sphere(points: np.ndarray, target: ArrayLike | None, total: int) -> Figure:
         fig, ax = plt.subplots(figsize=(3.6, 3.8))
     ax.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), aspect="equal", title=f"step {len(points)} of {total}")
     ax.set_axis_off()
-    ax.add_patch(plt.Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
+    ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
     turn = np.linspace(0, 2 * np.pi, 90)
     for height in (-0.5, 0.0, 0.5):  # three parallels and two meridians show the roundness
         ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * np.sqrt(1 - height**2) + [0, 0, height]
@@ -177,7 +179,7 @@ def _seen(points: np.ndarray) -> np.ndarray:
     return np.stack([across, np.cross(eye, across), eye]) @ points.T
 
 
-def _line(ax, points: np.ndarray, colour: str) -> None:
+def _line(ax: Axes, points: np.ndarray, colour: str) -> None:
     x, y, depth = _seen(points)
     ax.plot(np.where(depth >= 0, x, np.nan), y, color=colour, lw=1)
     ax.plot(np.where(depth < 0, x, np.nan), y, color=colour, lw=0.5, ls=":")

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -43,6 +44,20 @@ raise SystemExit(0 if w.SupportsOpenGL() else 1)
 """
 
 
+# of one shape: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)
+Panel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class Mesh(Protocol):
+    """What can be drawn (:class:`fmsync.Shape`)."""
+
+    @property
+    def vertices(self) -> np.ndarray: ...
+
+    @property
+    def faces(self) -> np.ndarray | None: ...
+
+
 @dataclass(frozen=True, repr=False)
 class Scene:
     """A drawn scene: a still for print, and the vtk.js data of the one that turns.
@@ -72,7 +87,7 @@ class Scene:
     def __repr__(self) -> str:
         return f"<Scene: {self.alt}>"
 
-    def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         return {
             "image/png": base64.b64encode(self.png).decode(),
             "text/html": self._html(),
@@ -106,7 +121,7 @@ class Scene:
 
 
 def scene(
-    meshes: Sequence,
+    meshes: Sequence[Mesh],
     scalars: Sequence[ArrayLike] | None = None,
     titles: Sequence[str] | None = None,
     *,
@@ -201,21 +216,23 @@ def _choose_egl() -> None:
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 
-def _colours(meshes, scalars, cmap, clim, label):
+def _colours(
+    meshes: Sequence[Mesh], scalars: Sequence[ArrayLike] | None, cmap: str, clim: tuple[float, float] | None, label: str
+) -> tuple[list[np.ndarray], str]:
     """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
     if scalars is None:
         return [np.tile(_GREY, (len(m.vertices), 1)) for m in meshes], ""
-    scalars = [np.asarray(s, dtype=float) for s in scalars]
-    for k, (m, s) in enumerate(zip(meshes, scalars)):
+    given = [np.asarray(s, dtype=float) for s in scalars]
+    for k, (m, s) in enumerate(zip(meshes, given)):
         if s.shape not in ((len(m.vertices),), (len(m.vertices), 3)):
             raise ValueError(f"scalars[{k}] has shape {s.shape}: give (V,) or (V, 3) with V = {len(m.vertices)}")
-    values = [s.ravel() for s in scalars if s.ndim == 1]
+    values = [s.ravel() for s in given if s.ndim == 1]
     if not values:
-        return [np.clip(s, 0, 1) for s in scalars], ""
+        return [np.clip(s, 0, 1) for s in given], ""
     if clim is None:
         clim = (min(v.min() for v in values), max(v.max() for v in values))
-    norm, table = Normalize(*clim, clip=True), mpl.colormaps[cmap]
-    colours = [table(norm(s))[:, :3] if s.ndim == 1 else np.clip(s, 0, 1) for s in scalars]
+    norm, table = Normalize(clim[0], clim[1], clip=True), mpl.colormaps[cmap]
+    colours = [table(norm(s))[:, :3] if s.ndim == 1 else np.clip(s, 0, 1) for s in given]
     stops = ",".join(mpl.colors.to_hex(table(t)) for t in np.linspace(0, 1, 12))
     bar = f'<span style="flex:1;height:.7em;background:linear-gradient(90deg,{stops})"></span>'
     ends = [f"{c:.3g}".replace("-", "−") for c in clim]
@@ -224,11 +241,11 @@ def _colours(meshes, scalars, cmap, clim, label):
     return colours, f'<figcaption class="fm-bar">{row}{caption}</figcaption>'
 
 
-def _panel(mesh, colours, marks, up, limit):
+def _panel(mesh: Mesh, colours: np.ndarray, marks: np.ndarray, up: str, limit: int) -> Panel:
     """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
     given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
     if up == "y":
-        given = given[:, [0, 2, 1]] * np.float32([1, -1, 1])
+        given = given[:, [0, 2, 1]] * np.array([1, -1, 1], dtype=np.float32)
     given = given - (given.max(axis=0) + given.min(axis=0)) / 2
     if len(given) <= limit:
         return given, faces, colours, given[marks]
@@ -240,7 +257,9 @@ def _panel(mesh, colours, marks, up, limit):
     return vertices, shown.regular_faces, colours[nearest], given[marks]
 
 
-def _draw_vtk(panels, rows, columns, size, distance, flat):
+def _draw_vtk(
+    panels: list[Panel], rows: int, columns: int, size: tuple[int, int], distance: float, flat: bool
+) -> tuple[bytes, bytes | None]:
     pv = require("pyvista", "viz")
     plotter = pv.Plotter(shape=(rows, columns), window_size=size, off_screen=True, border=False)
     plotter.set_background("white", all_renderers=True)
@@ -264,7 +283,7 @@ def _draw_vtk(panels, rows, columns, size, distance, flat):
     return png.getvalue(), data
 
 
-def _export(window) -> bytes:
+def _export(window: Any) -> bytes:
     """Zipped vtk.js scene of a render window, without the web server (and its downloads) PyVista starts for it."""
     serializers = require("trame_vtk.modules.vtk.serializers", "viz")
     serializers.initialize_serializers()
@@ -288,7 +307,9 @@ def _export(window) -> bytes:
     return buffer.getvalue()
 
 
-def _draw_still(panels, rows, columns, size, distance, flat):
+def _draw_still(
+    panels: list[Panel], rows: int, columns: int, size: tuple[int, int], distance: float, flat: bool
+) -> tuple[bytes, bytes | None]:
     """The same view by matplotlib: triangles shaded and painted from the back."""
     fig, axes = plt.subplots(rows, columns, figsize=(size[0] / 100, size[1] / 100), squeeze=False, layout="none")
     fig.subplots_adjust(0, 0, 1, 1, 0, 0)
@@ -305,7 +326,8 @@ def _draw_still(panels, rows, columns, size, distance, flat):
         order = np.argsort(corners.mean(axis=1) @ _VIEW)
         paint = np.clip(colours[faces].mean(axis=1) * shade, 0, 1)[order]
         triangles = _project(corners[order], distance)  # (f, 3, 2)
-        ax.add_collection(PolyCollection(triangles, facecolors=paint, edgecolors=paint, linewidths=0.3))
+        painted = PolyCollection(triangles, facecolors=paint, edgecolors=paint, linewidths=0.3)  # type: ignore[arg-type]
+        ax.add_collection(painted)
         for j, mark in enumerate(marks):
             ax.plot(*_project(mark, distance), "o", ms=8, color=PALETTE[j % len(PALETTE)], mec="white")
     png = io.BytesIO()
@@ -314,6 +336,6 @@ def _draw_still(panels, rows, columns, size, distance, flat):
     return png.getvalue(), None
 
 
-def _project(positions, distance):
+def _project(positions: np.ndarray, distance: float) -> np.ndarray:
     seen = positions @ _AXES
     return seen[..., :2] / (distance - seen[..., 2:])
