@@ -29,6 +29,7 @@ lint: setup
 	ruff check .
 	ruff format --check .
 	lint-imports
+	mypy
 	codespell
 
 unit: setup
