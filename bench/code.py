@@ -20,6 +20,7 @@ from bench import methods
 from fmsync import estimators, samplers
 
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+_OURS = ("fmsync", "data_gen")  # beside the package of a generator or of a method
 _LAZY = "fmsync"  # the root package imports its rooms when asked: following it would find everything
 
 
@@ -54,7 +55,7 @@ def fingerprint(start: Iterable[str]) -> str:
 
 
 def _roots(start: Iterable[str]) -> frozenset[str]:
-    return frozenset({"fmsync", *(name.split(".")[0] for name in start)})
+    return frozenset({*_OURS, *(name.split(".")[0] for name in start)})
 
 
 @cache
