@@ -21,6 +21,7 @@ from fmsync.estimators.base import ESTIMATORS
 from fmsync.samplers.base import SAMPLERS
 
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+_OURS = ("fmsync", "data_gen")  # beside the package of a generator or of a method
 _LAZY = "fmsync"  # the root package imports its rooms when asked: following it would find everything
 
 
@@ -55,7 +56,7 @@ def fingerprint(start: Iterable[str]) -> str:
 
 
 def _roots(start: Iterable[str]) -> frozenset[str]:
-    return frozenset({"fmsync", *(name.split(".")[0] for name in start)})
+    return frozenset({*_OURS, *(name.split(".")[0] for name in start)})
 
 
 @cache

@@ -20,7 +20,8 @@ Which differences are accepted depends on where the row was made and on what the
 With :math:`m` and :math:`s` the mean and the standard deviation of :math:`k` runs on the same problem, a row agrees if
 it differs from :math:`m` by at most :math:`q\,s\sqrt{1+1/k}`, where :math:`q` is the quantile of Student's distribution
 with :math:`k-1` degrees of freedom that is exceeded as rarely as four standard deviations of a normal one. All rows of
-a sampler together can show a small difference that one row cannot, so their standardised differences are also added.
+a sampler together can show a small difference that one row cannot, so their standardised differences are also added:
+``"Monte Carlo together"``.
 """
 
 import itertools
@@ -39,7 +40,7 @@ from bench.metrics import METRICS, ROUNDING, Metric
 from bench.suites import Cell, data_fingerprint
 from data_gen.cache import arithmetic
 
-RULES = ("bits", "tolerance", "rounding", "Monte Carlo")
+RULES = ("bits", "tolerance", "rounding", "Monte Carlo", "Monte Carlo together")
 N_REPLICAS = 16
 _FEWEST = 3  # runs of which nothing is concluded: Student's distribution has no variance then
 _SECONDS, _MEMORY = 1200.0, 16000.0
@@ -305,7 +306,7 @@ def _together(label: str, name: str, repeated: list[_Repeated]) -> Verdict:
     variances = [(1 + 1 / one.count) * (one.count - 1) / (one.count - 3) for one in repeated]
     interval = _metric(name).standard_errors * np.sqrt(sum(variances)) / weights.sum()
     verdict = "agrees" if abs(before - now) <= interval else "differs"
-    return Verdict(f"{label}: {len(repeated)} cells together", name, before, now, interval, verdict, "Monte Carlo")
+    return Verdict(f"{label}: cells together", name, before, now, interval, verdict, "Monte Carlo together")
 
 
 def agrees(verdict: Verdict) -> bool:

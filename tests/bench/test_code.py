@@ -55,4 +55,8 @@ def test_methods_do_not_depend_on_their_rivals():
     assert "fmsync.estimators.robust" not in code.used_modules(code.method_modules("spectral"))
     assert "fmsync.estimators.mle" in code.used_modules(code.method_modules("mean-of-starts"))
     assert "fmsync.samplers.rlfm" in code.used_modules(code.method_modules("rlfm"))
-    assert "fmsync.bounds" in code.used_modules(["bench.problems"])
+
+
+def test_problems_depend_on_what_makes_their_data():
+    found = set(code.used_modules(["bench.problems"]))
+    assert {"fmsync.bounds", "data_gen.noise", "data_gen.cats", "data_gen.cache"} <= found

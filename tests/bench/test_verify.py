@@ -19,7 +19,7 @@ from fmsync import estimators
 PROBLEM = {"n_nodes": 5, "n": 4, "sigma2": 0.1}
 NOISY = {"n_nodes": 5, "n": 12, "sigma2": 0.4}
 CHAIN = {"n_chains": 1, "n_draws": 150, "warmup": 50}
-TOGETHER = "heat-bath: 4 cells together"
+TOGETHER = "heat-bath: cells together"
 ANSWERS = ("edge_error", "edge_rms", "pair_error", "pair_rms", "cycle_error")
 
 
@@ -174,6 +174,7 @@ def test_a_chain_that_took_another_path_agrees(chains):
     assert compared["floor_rms"] == "tolerance"
     together = [one for one in found if one.cell == TOGETHER]
     assert {"edge_error", "coverage_90"} <= {one.metric for one in together}
+    assert {one.rule for one in together} == {"Monte Carlo together"}
 
 
 def test_the_answers_of_another_method_are_found_in_every_cell(chains):
