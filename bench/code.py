@@ -107,7 +107,7 @@ def _method(name: str) -> set[str]:
 def method_modules(name: str) -> set[str]:
     """Module of a method of the benchmark, and those that run it."""
     entry = methods.get(name)
-    runner = {"estimator": {"fmsync.estimators"}, "sampler": {"fmsync.samplers", "fmsync.diagnostics"}}
+    runner = {"estimator": {"fmsync.estimators.solve"}, "sampler": {"fmsync.samplers.sample"}}
     return {entry.module} | runner.get(entry.kind, set())
 
 
