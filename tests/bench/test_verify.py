@@ -169,7 +169,7 @@ def test_curves_are_compared_point_by_point(how):
 def test_a_chain_that_took_another_path_agrees(chains):
     found = list(verify(chains, 4, rng=0))
     assert doubted(found) == set()
-    compared = {one.metric: one.rule for one in found}
+    compared = {one.metric: one.rule for one in found if one.cell != TOGETHER}
     assert compared["edge_error"] == compared["energy_score"] == compared["accuracy_at_draws"] == "Monte Carlo"
     assert compared["floor_rms"] == "tolerance"
     together = [one for one in found if one.cell == TOGETHER]
