@@ -36,7 +36,7 @@ _SPENT = ("seconds", "cpu_seconds", "peak_memory")
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
 _STATUS, _SIZES = Path("/proc/self/status"), Path("/proc/self/statm")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
-_ROUNDING = 1e-15  # in entries of maps, most of which are a few tenths: several units in the last place
+_ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two arithmetics
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
 
 
@@ -56,7 +56,8 @@ def run_cell(cell: Cell, commit: str = "unknown", *, replica: int = 0) -> dict:
     replica
         0 for the run that belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how
         much the answer varies: a sampler draws other random numbers; any other method keeps its random numbers and
-        gets observed maps whose entries are moved by about 1e-15, as if they had been rounded differently.
+        gets observed maps, and bases of shapes, whose entries are moved by about 1e-13, as if they had been computed
+        in another arithmetic.
 
     Returns
     -------
@@ -139,9 +140,13 @@ def _replicated(planted: Planted, seed: int, kind: str, replica: int) -> tuple[P
     other = method_rng(seed).spawn(replica)[-1]
     if kind == "sampler":
         return planted, other
-    observed = planted.problem
-    maps = observed.maps + _ROUNDING * other.standard_normal(observed.maps.shape)
-    return replace(planted, problem=replace(observed, maps=maps)), method_rng(seed)
+    maps = _rounded_otherwise(planted.problem.maps, other)
+    bases = [replace(b, eigenfunctions=_rounded_otherwise(b.eigenfunctions, other)) for b in planted.bases]
+    return replace(planted, problem=replace(planted.problem, maps=maps), bases=tuple(bases)), method_rng(seed)
+
+
+def _rounded_otherwise(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return values + _ROUNDING * rng.standard_normal(values.shape)
 
 
 @cache

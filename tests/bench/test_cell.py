@@ -1,6 +1,7 @@
 """One cell: limits, honest status, and metrics that agree with their own functions."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -16,6 +17,7 @@ from bench.metrics import frobenius_errors
 from bench.planted import Planted
 from bench.suites import Cell
 from fmsync import diagnostics
+from fmsync.shape import Basis
 
 TRICKS = str(Path(__file__).with_name("tricks.py"))
 methods.load(TRICKS)
@@ -196,3 +198,23 @@ def test_large_problems_show_a_fixed_sample_of_pairs():
     assert len(np.unique(pairs, axis=0)) == 2000
     np.testing.assert_array_equal(pairs, problem.pairs())
     assert pairs[:, 0].max() > 100
+
+
+def test_replicas_show_how_much_an_answer_varies():
+    """Another chain on the same problem; another rounding of the observations for a method that is no chain."""
+    chain = cell("heat-bath", {"n_chains": 1, "n_draws": 30, "warmup": 5})
+    for one, low, high in ((chain, 1e-4, 1.0), (cell("mle"), 1e-16, 1e-11)):
+        first, again, same, other = (values(cells.run_cell(one, replica=k)) for k in (0, 1, 1, 2))
+        assert again["edge_error"] == same["edge_error"]
+        assert again["floor_rms"] == first["floor_rms"]
+        for a, b in ((first, again), (first, other), (again, other)):
+            assert low < abs(a["edge_error"] - b["edge_error"]) < high
+
+
+def test_a_replica_rounds_the_bases_of_shapes_too(planted):
+    made = planted(n_nodes=3, n=2)
+    bases = (Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5]),) * 3
+    replica, _ = cells._replicated(replace(made, bases=bases), 0, "estimator", 1)
+    assert 0 < np.abs(replica.problem.maps - made.problem.maps).max() < 1e-12
+    for before, after in zip(bases, replica.bases):
+        assert 0 < np.abs(after.eigenfunctions - before.eigenfunctions).max() < 1e-12

@@ -40,8 +40,8 @@ def frame():
 
 @pytest.fixture(scope="module")
 def chains():
-    """Rows of four chains that took another path than the runs here will: they drew other random numbers."""
-    return elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN) for seed in range(4)], replica=99))
+    """Rows of three chains that took another path than the runs here will: they drew other random numbers."""
+    return elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN) for seed in range(3)], replica=99))
 
 
 _RUNS = {}
@@ -56,7 +56,7 @@ def run(again, **how):
 
 
 def verify(*given, **how):
-    return verifier.verify(*given, **{"run": run} | how)
+    return verifier.verify(*given, **{"run": run, "n_replicas": 12} | how)
 
 
 def elsewhere(frame):
@@ -167,7 +167,7 @@ def test_curves_are_compared_point_by_point(how):
 
 
 def test_a_chain_that_took_another_path_agrees(chains):
-    found = list(verify(chains, 4, rng=0))
+    found = list(verify(chains, 3, rng=0))
     assert doubted(found) == set()
     compared = {one.metric: one.rule for one in found if one.cell != TOGETHER}
     assert compared["edge_error"] == compared["energy_score"] == compared["accuracy_at_draws"] == "Monte Carlo"
@@ -179,15 +179,15 @@ def test_a_chain_that_took_another_path_agrees(chains):
 
 def test_the_answers_of_another_method_are_found_in_every_cell(chains):
     """The maximum of the likelihood in the place of the mean of the posterior: its cycles close."""
-    found = list(verify(swapped(chains, "mle", ANSWERS), 4, rng=0))
-    assert len(doubted(found) - {TOGETHER}) == 4
+    found = list(verify(swapped(chains, "mle", ANSWERS), 3, rng=0))
+    assert len(doubted(found) - {TOGETHER}) == 3
 
 
 @pytest.mark.parametrize("method", ["mle", "spectral"])
 def test_errors_of_another_method_are_found_among_all_cells(chains, method):
     """The errors alone, which differ from those of the chains by far less than between problems."""
     table = swapped(chains, method, ["edge_error"])
-    found = [one for one in verify(table, 4, rng=0) if one.metric == "edge_error"]
+    found = [one for one in verify(table, 3, rng=0) if one.metric == "edge_error"]
     assert found[-1].cell == TOGETHER
     assert not agrees(found[-1])
     between_seeds = chains[chains.metric == "edge_error"].value.std()
@@ -196,9 +196,9 @@ def test_errors_of_another_method_are_found_among_all_cells(chains, method):
 
 def test_another_sampler_is_found_in_every_cell(chains):
     """All metrics of a chain with another concentration, which the rows do not tell."""
-    other = elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN, kappa=30.0) for seed in range(4)]))
+    other = elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN, kappa=30.0) for seed in range(3)]))
     other = other.assign(options=chains.options.iloc[0])
-    assert len(doubted(verify(other, 4, rng=0)) - {TOGETHER}) == 4
+    assert len(doubted(verify(other, 3, rng=0)) - {TOGETHER}) == 3
 
 
 @pytest.fixture
