@@ -36,7 +36,7 @@ _SPENT = ("seconds", "cpu_seconds", "peak_memory")
 _GRACE = 30.0  # seconds that a call which ignores its limit still gets before its process is ended
 _STATUS, _SIZES = Path("/proc/self/status"), Path("/proc/self/statm")
 _SOFT, _HARD = resource.getrlimit(resource.RLIMIT_AS)  # what the process was given
-_ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two arithmetics
+_ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
 
 
