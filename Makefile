@@ -1,6 +1,7 @@
 # Two commands on a fresh machine:   make book    make test
 PY ?= python3
 V  := .venv
+UV := 0.13.9
 export PATH := $(CURDIR)/$(V)/bin:$(PATH)
 export PYVISTA_OFF_SCREEN := true
 # a hundred processes import the same packages: let the first one keep what it compiled
@@ -33,14 +34,14 @@ lint: setup
 	codespell
 
 unit: setup
-	pytest -q -n $(JOBS) -m "not browser and not slow"
+	pytest -q -n $(JOBS) -m "not browser and not slow" --cov --cov-report=term:skip-covered
 
 # the library without extras, in an environment of its own, with the oldest or newest releases that its bounds admit:
 # make core PINS=lowest
 PINS ?= highest
 core:
 	$(PY) -m venv --clear $(V)-core
-	$(V)-core/bin/python -m pip install -q --disable-pip-version-check uv
+	$(V)-core/bin/python -m pip install -q --disable-pip-version-check uv==$(UV)
 	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python --resolution $(if $(filter lowest,$(PINS)),lowest-direct,highest) .
 	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python pytest hypothesis mpmath
 	$(V)-core/bin/python -m pytest -q -m "not browser and not slow" README.md tests/test_so.py tests/test_langevin.py \
@@ -71,7 +72,7 @@ clean:
 setup: $(V)/.ok
 $(V)/.ok: requirements.txt pyproject.toml
 	$(PY) -m venv $(V)
-	$(V)/bin/python -m pip install -q --disable-pip-version-check uv
+	$(V)/bin/python -m pip install -q --disable-pip-version-check uv==$(UV)
 	$(V)/bin/uv pip sync -q --python $(V)/bin/python requirements.txt
 	$(V)/bin/uv pip install -q --python $(V)/bin/python --no-deps -e .
 	@touch $@
