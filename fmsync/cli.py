@@ -1,7 +1,9 @@
 """The command line: ``fmsync sync MESH_OR_FOLDER... -o OUT``."""
 
 import argparse
+import os
 import sys
+from concurrent.futures.process import BrokenProcessPool
 
 import fmsync
 from fmsync import sync_cli
@@ -9,7 +11,9 @@ from fmsync.extras import MissingExtra
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; bad input, or an extra that is missing, ends with one line and status 2.
+    """Run a command; what can be expected to fail ends with one line on stderr and a status.
+
+    2: bad input, or an extra that is missing; 1: it failed on the way, for instance on a full disk; 130: Ctrl-C.
 
     Examples
     --------
@@ -23,10 +27,23 @@ def main(arguments: list[str] | None = None) -> int:
     sync_cli.add_parser(commands)
     parsed = parser.parse_args(arguments)
     try:
-        return parsed.run(parsed)
+        status: int = parsed.run(parsed)
+        sys.stdout.flush()
+        return status
     except (ValueError, MissingExtra) as error:
-        print(f"fmsync: {error}", file=sys.stderr)
-        return 2
+        return _ended(error, 2)
+    except KeyboardInterrupt:
+        return _ended("stopped; what is finished is kept, give the same command again to go on", 130)
+    except BrokenPipeError:  # nobody reads what we print; Python would complain once more when it closes stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (OSError, MemoryError, BrokenProcessPool) as error:
+        return _ended(str(error) or type(error).__name__, 1)
+
+
+def _ended(why: object, status: int) -> int:
+    print(f"fmsync: {' '.join(str(why).split())}".encode("utf-8", "replace").decode(), file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

@@ -1,16 +1,24 @@
 """``fmsync sync``: from mesh files to consistent correspondences with a confidence on every vertex."""
 
 import argparse
+import json
 import os
+import re
 import shutil
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from fmsync.matching import SyncedShapes
     from fmsync.shape import Shape
+
+_WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
+_LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
 
 
 def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -19,13 +27,13 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "sync",
         help="consistent correspondences of your own shapes, with a confidence on every vertex",
         description=__doc__,
-        epilog="example:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2",
+        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n\n"
+        "exit status: 0 done, 1 it failed, 2 wrong options or unusable files, 130 stopped by Ctrl-C.\n"
+        "A run that was stopped goes on where it was when the command is given again.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
-    parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="OUT", help="folder that does not exist yet"
-    )
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
     parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
     parser.add_argument(
         "--calibration",
@@ -39,10 +47,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--draws", type=int, default=1000, help="posterior draws (%(default)s)")
     parser.add_argument("--level", type=float, default=0.9, help="probability of the regions (%(default)s)")
     parser.add_argument(
-        "--landmarks", type=Path, help="text file: a line per mesh, the same vertices in the same order"
+        "--landmarks",
+        type=Path,
+        metavar="FILE",
+        help="text file of vertices, counted from zero, that correspond: a line 'NAME: 12 340 7' for every mesh, or "
+        "lines of numbers alone in the order in which the meshes are listed",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: cores)")
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
+    parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
     parser.set_defaults(run=run)
 
 
@@ -54,23 +67,18 @@ def run(options: argparse.Namespace) -> int:
     from fmsync.matching.reading import mesh_files, read_mesh
     from fmsync.matching.recalibration import shipped
 
-    output = options.output
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise ValueError(f"{output}: it is not empty; name a folder that does not exist yet")
-    if options.draws < 1:
-        raise ValueError(f"--draws: the confidence needs at least one draw, got {options.draws}")
-    if not 0 < options.level < 1:
-        raise ValueError(f"--level: a probability strictly between 0 and 1, got {options.level}")
+    _check(options)
     recalibration = shipped() if options.calibration is None else Recalibration.load(options.calibration)
     recalibration.scale(options.level)
-    shapes = [read_mesh(file) for file in mesh_files(options.meshes)]
-    landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+    files = mesh_files(options.meshes)
+    names = file_names([file.stem for file in files])
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
-    # Everything is written beside the folder and moved there when complete; finished pairs outlive an interruption.
-    partial = output.with_name(output.name + ".partial")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
+    with _working_folder(options.output) as work:
+        shapes = [replace(read_mesh(file), name=name) for file, name in zip(files, names)]
+        landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+        print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             synced = synchronize_shapes(
                 shapes,
                 n_basis=options.basis,
@@ -80,25 +88,98 @@ def run(options: argparse.Namespace) -> int:
                 n_draws=options.draws,
                 landmarks=landmarks,
                 jobs=options.jobs,
-                checkpoint=partial / "pairs",
+                checkpoint=work / "pairs",
                 progress=progress,
                 rng=options.seed,
             )
-        except ValueError:  # the input is refused: nothing of it is worth keeping
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
-    folder = partial / "output"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    write_all(synced, folder, options.level, recalibration, progress=progress)
-    if output.is_dir():
-        output.rmdir()
-    os.replace(folder, output)
-    shutil.rmtree(partial)
-    for line in dict.fromkeys([*doubts(synced), *_unsaid(caught)]):
+        folder = work / "output"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        write_all(synced, folder, options.level, recalibration, progress=progress)
+        for part in folder.iterdir():
+            os.replace(part, options.output / part.name)
+        shutil.rmtree(work)
+    said = list(dict.fromkeys([*doubts(synced), *_unsaid(caught)]))
+    for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
-    print(f"{output}/report.html: open it in a browser; README.txt beside it says what the other files are")
+    if options.json:
+        print(json.dumps(_summary(synced, options.output, files, said), indent=1))
+    else:
+        print(f"{options.output}/report.html: open it in a browser; README.txt beside it says what the other files are")
     return 0
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """Names that can stand in file names: letters, digits and ``_.+-``, at most 80, none of them twice.
+
+    Examples
+    --------
+    >>> file_names(["cat 0", "..", "cat/0"])
+    ['cat_0', 'shape', 'cat_0_2']
+    """
+    found: list[str] = []
+    for name in names:
+        safe = re.sub(r"[^\w.+-]", "_", name.encode("utf-8", "replace").decode()).lstrip(".")[:_LONGEST_NAME] or "shape"
+        number, unique = 1, safe
+        while unique.lower() in map(str.lower, found):
+            number += 1
+            unique = f"{safe}_{number}"
+        found.append(unique)
+    return found
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse numbers and choices that are wrong whatever the meshes are."""
+    for name, least in (("basis", 2), ("refined", options.basis), ("samples", options.basis), ("draws", 1)):
+        if getattr(options, name) < least:
+            raise ValueError(f"--{name}: at least {least}, got {getattr(options, name)}")
+    if options.jobs < 1:
+        raise ValueError(f"--jobs: at least one process, got {options.jobs}")
+    if options.seed < 0:
+        raise ValueError(f"--seed: a whole number >= 0, got {options.seed}")
+    if not 0 < options.level < 1:
+        raise ValueError(f"--level: a probability strictly between 0 and 1, got {options.level}")
+    if not re.fullmatch("complete|k[1-9][0-9]*", options.graph):
+        raise ValueError(f"--graph: 'complete', or k and a number of neighbours such as 'k4', not {options.graph!r}")
+    if options.landmarks is not None and not options.landmarks.is_file():
+        raise ValueError(f"--landmarks: {options.landmarks}: there is no such file")
+
+
+@contextmanager
+def _working_folder(output: Path) -> Iterator[Path]:
+    """``OUT/.fmsync``; if nothing worth keeping is in it afterwards, it goes, and OUT as well if it was not there."""
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output}: it is a file; name a folder that is new or empty")
+    if output.is_dir() and {path.name for path in output.iterdir()} - {_WORK}:
+        raise ValueError(f"{output}: it is not empty; name a folder that is new or empty")
+    new = not output.exists()
+    work = output / _WORK
+    work.mkdir(parents=True, exist_ok=True)
+    try:
+        yield work
+    finally:
+        if work.is_dir() and not any((work / "pairs").glob("*.npz")):
+            shutil.rmtree(work, ignore_errors=True)
+            if new:
+                output.rmdir()
+
+
+def _summary(synced: "SyncedShapes", output: Path, files: Sequence[Path], said: Sequence[str]) -> dict[str, object]:
+    """What a script wants to know of a result."""
+    from fmsync.matching.output import edge_table
+
+    assert synced.posterior is not None, "the command asks for draws"
+    return {
+        "output": str(output),
+        "shapes": [
+            {"name": s.shape.name, "file": os.fspath(file), "vertices": s.shape.n_vertices}
+            for s, file in zip(synced.shapes, files)
+        ],
+        "pairs": json.loads(edge_table(synced).to_json(orient="records")),
+        "draws": int(synced.posterior.energy.size),
+        "kappa": float(synced.posterior.kappa.mean()),
+        "warnings": list(said),
+    }
 
 
 def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
@@ -108,14 +189,21 @@ def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
 
 
 def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
-    lines = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    """Vertices of every shape, from lines 'NAME: 1 2 3' in any order or lines of numbers in the order of the shapes."""
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     if len(lines) != len(shapes):
         raise ValueError(f"{path}: {len(lines)} lines for {len(shapes)} meshes")
-    if not all(word.isdigit() for line in lines for word in line):
-        raise ValueError(f"{path}: every line must hold vertex numbers, counted from zero")
-    points = [[int(word) for word in line] for line in lines]
+    if any(":" in line for line in lines):
+        named = {name.strip(): numbers for name, _, numbers in (line.rpartition(":") for line in lines)}
+        missing = [shape.name for shape in shapes if shape.name not in named]
+        if missing:
+            raise ValueError(f"{path}: no line 'NAME: ...' for {', '.join(missing)}; it has {', '.join(named)}")
+        lines = [named[shape.name] for shape in shapes]
+    words = [line.replace(",", " ").split() for line in lines]
+    for shape, row in zip(shapes, words):
+        if not row or not all(re.fullmatch("[0-9]{1,12}", word) for word in row):
+            raise ValueError(f"{path}: the line of {shape.name} must hold vertex numbers, counted from zero")
+    points = [[int(word) for word in row] for row in words]
     for shape, marks in zip(shapes, points):
         if len(marks) != len(points[0]):
             raise ValueError(f"{path}: {shape.name} has {len(marks)} landmarks, {shapes[0].name} has {len(points[0])}")

@@ -1,5 +1,6 @@
 """From shapes to consistent maps with a confidence: the stages of the pipeline in order."""
 
+import contextlib
 import hashlib
 import itertools
 import os
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import networkx as nx
 import numpy as np
@@ -307,9 +309,8 @@ def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) 
         for array in (s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics):
             key.update(np.ascontiguousarray(array).tobytes())
     file = folder / f"{key.hexdigest()[:24]}.npz"
-    if file.is_file():
-        with np.load(file) as kept:
-            return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))
+    with contextlib.suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(file) as kept:
+        return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))  # a damaged file is made anew
     found = match(first, second)
     folder.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(suffix=".npz", dir=folder)  # put in place complete, or not at all

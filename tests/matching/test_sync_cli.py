@@ -35,7 +35,7 @@ def test_everything_is_written(written):
     with np.load(out / "maps.npz") as maps:
         assert maps["refined"].shape == (3, 18, 20)
         assert maps["draws"].shape == (40, 3, 10, 10)
-    assert not out.with_name("out.partial").exists()
+    assert not (out / ".fmsync").exists()
 
 
 def test_thin_draws_are_said_in_plain_words_everywhere(written):
@@ -87,7 +87,6 @@ def test_bad_input_ends_with_status_two_and_leaves_nothing(folder, tmp_path, cap
     assert "not a recalibration" in refused(capsys, folder, "-o", out, "--calibration", empty)
     assert "level" in refused(capsys, folder, "-o", out, "--level", "0.999")
     assert not out.exists()
-    assert not (tmp_path / "out.partial").exists()
     assert (full / "kept.txt").read_text() == "mine"
 
 
@@ -108,7 +107,7 @@ def test_killed_and_restarted_finished_pairs_are_not_redone(folder, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "fmsync.cli", "sync", str(folder), "-o", str(out), *QUICK]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    pairs = tmp_path / "out.partial" / "pairs"
+    pairs = out / ".fmsync" / "pairs"
     finished = "?" * 24 + ".npz"  # and not what is being written
     while process.poll() is None and not list(pairs.glob(finished)):
         time.sleep(0.005)
@@ -117,7 +116,7 @@ def test_killed_and_restarted_finished_pairs_are_not_redone(folder, tmp_path):
     assert process.returncode == -signal.SIGKILL
     kept = {f: os.stat(f).st_mtime_ns for f in pairs.glob(finished)}
     assert kept
-    assert not out.exists()
+    assert [path.name for path in out.iterdir()] == [".fmsync"]
     seen = {}
 
     def look(*_):  # just before the folder of pairs goes, at the end
@@ -131,3 +130,137 @@ def test_killed_and_restarted_finished_pairs_are_not_redone(folder, tmp_path):
         assert main(command[3:]) == 0
     assert seen == kept
     assert (out / "report.html").is_file()
+
+
+def test_numbers_and_choices_are_refused_before_any_file_is_read(tmp_path, capsys):
+    nowhere, out = tmp_path / "nowhere", tmp_path / "out"
+    for option, value, said in (
+        ("--samples", 0, "--samples: at least 20"),
+        ("--draws", 0, "--draws: at least 1"),
+        ("--basis", 1, "--basis: at least 2"),
+        ("--refined", 5, "--refined: at least 20"),
+        ("--jobs", 0, "--jobs: at least one process"),
+        ("--seed", -1, "--seed: a whole number >= 0"),
+        ("--level", "nan", "--level: a probability"),
+        ("--graph", "k0", "--graph: 'complete', or k"),
+        ("--landmarks", nowhere, "there is no such file"),
+    ):
+        assert main(["sync", str(nowhere), "-o", str(out), option, str(value)]) == 2
+        told = capsys.readouterr().err
+        assert said in told
+        assert told.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "here", "empty"])
+def test_folders_that_are_there_are_written_into(folder, tmp_path, kind, monkeypatch, capsys):
+    place = tmp_path / "place"
+    place.mkdir()
+    out = {"link": tmp_path / "link", "here": ".", "empty": place}[kind]
+    if kind == "link":
+        out.symlink_to(place)
+    if kind == "here":
+        monkeypatch.chdir(place)
+    assert main(["sync", str(folder), "-o", str(out), "--json", *QUICK]) == 0
+    assert {path.name for path in place.iterdir()} >= {"report.html", "maps.npz", "meshes", "point_maps", "README.txt"}
+    assert not (place / ".fmsync").exists()
+    told = capsys.readouterr()
+    assert "3 shapes, in this order: cat0, cat1, cat2" in told.err
+    summary = json.loads(told.out)
+    assert [shape["name"] for shape in summary["shapes"]] == ["cat0", "cat1", "cat2"]
+    assert len(summary["pairs"]) == 3
+    assert summary["kappa"] > 0
+
+
+def test_finished_pairs_outlive_typos_and_damage(folder, tmp_path, monkeypatch, capsys):
+    import fmsync.sync_cli
+
+    out = tmp_path / "out"
+    command = ["sync", str(folder), "-o", str(out), *QUICK]
+    replace = os.replace
+
+    def full_disk(a, b):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(fmsync.sync_cli.os, "replace", full_disk)
+    monkeypatch.setattr("fmsync.matching.synchronize.os.replace", replace, raising=False)
+    monkeypatch.setattr("fmsync.matching.output.write_all", full_disk, raising=False)
+    monkeypatch.setattr(fmsync.sync_cli.shutil, "rmtree", lambda *a, **k: full_disk(a, k))
+    assert main(command) == 1
+    assert "No space left" in capsys.readouterr().err
+    monkeypatch.undo()
+    pairs = sorted((out / ".fmsync" / "pairs").glob("*.npz"))
+    assert len(pairs) == 3
+    landmarks = tmp_path / "marks.txt"
+    landmarks.write_text("cat0: 1 2\ncat1: 1 2\ncat7: 1 2\n")
+    for typo in (["--graph", "k0"], ["--landmarks", str(landmarks)], ["--refined", "5"]):
+        assert main([*command, *typo]) == 2
+    assert "no line 'NAME: ...' for cat2; it has cat0, cat1, cat7" in capsys.readouterr().err
+    assert sorted((out / ".fmsync" / "pairs").glob("*.npz")) == pairs
+    pairs[0].write_bytes(pairs[0].read_bytes()[:100])
+    pairs[1].write_bytes(b"")
+    assert main(command) == 0
+    assert (out / "report.html").is_file()
+
+
+def test_failures_are_one_line(folder, tmp_path, monkeypatch, capsys):
+    import fmsync.matching
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    command = ["sync", str(folder), "-o", str(tmp_path / "out"), *QUICK]
+    for error, status, said in (
+        (KeyboardInterrupt(), 130, "give the same command again"),
+        (PermissionError(13, "Permission denied", "x"), 1, "Permission denied"),
+        (MemoryError(), 1, "MemoryError"),
+    ):
+
+        def fails(*_, error=error, **__):
+            raise error
+
+        monkeypatch.setattr(fmsync.matching, "synchronize_shapes", fails)
+        assert main(command) == status
+        told = capsys.readouterr().err
+        assert said in told
+        assert "Traceback" not in told
+    monkeypatch.undo()
+    (tmp_path / "file").write_text("")
+    assert main(["sync", str(folder), "-o", str(tmp_path / "file"), *QUICK]) == 2
+    assert "it is a file" in capsys.readouterr().err
+
+
+def test_a_closed_stdout_is_not_a_traceback(folder, tmp_path):
+    command = [sys.executable, "-m", "fmsync.cli", "sync", str(folder), "-o", str(tmp_path / "out"), *QUICK]
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "Exception" not in done.stderr
+
+
+def test_names_of_files_become_names_in_the_output(cats, tmp_path):
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    for shape, name in zip(cats, ("..off", "a b.off", "n" * 200 + ".off")):
+        write_off(meshes / name, shape.vertices, shape.faces)
+    out = tmp_path / "out"
+    assert main(["sync", *map(str, sorted(meshes.iterdir())), "-o", str(out), *QUICK]) == 0
+    assert {path.stem for path in (out / "meshes").glob("*.vtp")} == {"shape", "a_b", "n" * 80}
+    assert {path.name for path in tmp_path.iterdir()} == {"meshes", "out"}
+
+
+def test_landmarks_by_name_in_any_order(folder, tmp_path):
+    from fmsync.sync_cli import _landmarks
+
+    shapes = [read_mesh(folder / f"cat{k}.off") for k in range(3)]
+    named, plain = tmp_path / "named.txt", tmp_path / "plain.txt"
+    named.write_text("cat2: 7, 8\ncat0: 1 2\n\ncat1: 3 4\n")
+    plain.write_text("1 2\n3 4\n7 8\n")
+    assert _landmarks(named, shapes) == _landmarks(plain, shapes) == [[1, 2], [3, 4], [7, 8]]
+    for text, said in (("1 2\n3 x\n7 8", "line of cat1"), ("1 2\n3 4\n7 1000", "vertex 1000 is outside cat2")):
+        plain.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            _landmarks(plain, shapes)
