@@ -37,9 +37,7 @@ def test_clean_and_low_noise_optima_are_certified(sigma2):
 
 
 def test_the_winding_ring_is_a_local_minimum_and_not_certified():
-    angle = 2 * np.pi * np.arange(10) / 10
-    c = np.tile(np.eye(3), (10, 1, 1))
-    c[:, 0, 0], c[:, 0, 1], c[:, 1, 0], c[:, 1, 1] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+    c = wound_once(10)
     edges = [(i, (i + 1) % 10) for i in range(10)]
     problem = fmsync.SyncProblem(10, edges, np.stack([np.eye(3)] * 10))
     assert np.abs(gradient(problem, c)).max() < 1e-14
@@ -47,6 +45,48 @@ def test_the_winding_ring_is_a_local_minimum_and_not_certified():
     assert not found.certified
     np.testing.assert_allclose(found.min_eigenvalue, -0.38, atol=0.005)
     assert energy(problem, c) <= found.gap_bound  # the global minimum is 0
+
+
+def wound_once(n_nodes):
+    """Rotations of the first plane that go round once, (N, 3, 3)."""
+    angle = 2 * np.pi * np.arange(n_nodes) / n_nodes
+    c = np.tile(np.eye(3), (n_nodes, 1, 1))
+    c[:, 0, 0], c[:, 0, 1], c[:, 1, 0], c[:, 1, 1] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+    return c
+
+
+@pytest.mark.parametrize("heavy", [1e8, 1e4, 1.0])
+def test_one_heavy_edge_does_not_certify_a_local_minimum(heavy):
+    """A ring wound once with a pendant node: the optimum is 0, and the largest degree says nothing about the ring."""
+    edges = [*((i, (i + 1) % 9) for i in range(9)), (0, 9)]
+    problem = fmsync.SyncProblem(10, edges, np.stack([np.eye(3)] * 10), [1.0] * 9 + [heavy])
+    wound = np.concatenate([wound_once(9), wound_once(9)[:1]])
+    assert np.abs(gradient(problem, wound)).max() < 1e-6
+    found = fmsync.certify(problem, wound)
+    assert not found.certified
+    assert energy(problem, wound) <= found.gap_bound
+    assert fmsync.certify(problem, np.stack([np.eye(3)] * 10)).certified
+
+
+def test_a_long_ring_with_one_heavy_edge_is_not_certified():
+    """The heavy edge is not turned, the others share its part."""
+    edges = [(i, (i + 1) % 500) for i in range(500)]
+    weights = np.ones(500)
+    weights[-1] = 2e4
+    problem = fmsync.SyncProblem(500, edges, np.stack([np.eye(3)] * 500), weights)
+    wound = fmsync.solve(problem, "mle", init=wound_once(500), max_iterations=2000).absolute
+    assert energy(problem, wound) > 0.1  # still wound
+    found = fmsync.certify(problem, wound)
+    assert not found.certified
+    assert energy(problem, wound) <= found.gap_bound
+
+
+@pytest.mark.parametrize(("n_nodes", "density", "sigma2"), [(100, 1.0, 0.0), (100, 0.2, 0.005), (30, 0.3, 0.01)])
+def test_true_optima_of_unequal_weights_are_certified(n_nodes, density, sigma2):
+    clean = noisy(sigma2, n_nodes, n=14, graph=data_gen.random_graph(n_nodes, density, rng=3))
+    weights = 10 ** np.random.default_rng(1).uniform(-1, 1, clean.n_edges)
+    problem = fmsync.SyncProblem(n_nodes, clean.edges, clean.maps, weights)
+    assert fmsync.certify(problem, fmsync.solve(problem)).certified
 
 
 def test_the_gap_bound_holds_for_any_maps():
