@@ -142,3 +142,11 @@ def test_the_picture_tells_the_truth():
     home = story.colours["observed"][0]
     off = {name: np.abs(colours[-1] - home).mean() for name, colours in story.colours.items()}  # same vertex order
     assert off["synchronised"] < 0.7 * off["observed"]
+
+
+def test_licences_name_each_package_once_and_what_is_not_installed():
+    licences = _load("book/_ext/fmsync_licences.py")
+    rows = licences.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": {"a": ["tqdm"]}})
+    assert [row.split(" | ")[0] for row in rows[2:]] == ["| no_such", "| tqdm"]
+    assert rows[2].endswith("| – | – |")
+    assert "MIT" in rows[3]
