@@ -195,6 +195,7 @@ def _coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray | None]:
     if shape.faces is None:
         return shape.vertices[farthest_points(shape.vertices, _COARSE)], None
     pv = require("pyvista", "shapes")
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
+    centre = shape.vertices.mean(axis=0)  # decimation works in single precision: far from 0 it would move vertices
+    mesh = pv.PolyData.from_regular_faces(shape.vertices - centre, shape.faces)
     mesh = mesh.decimate(1 - _COARSE / shape.n_vertices)
-    return np.asarray(mesh.points, dtype=float), mesh.regular_faces.astype(np.int64)
+    return np.asarray(mesh.points, dtype=float) + centre, mesh.regular_faces.astype(np.int64)
