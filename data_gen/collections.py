@@ -1,7 +1,6 @@
 """Collections of shapes: the synthetic cats, or any folder of meshes."""
 
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
-from data_gen.mesh_io import SUFFIXES, read_shape
+from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 
@@ -65,14 +64,7 @@ def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
         where = os.environ.get("FMSYNC_DATA")
         looked = f"nor a folder of that name in FMSYNC_DATA={where}" if where else "and FMSYNC_DATA is not set"
         raise ValueError(f"{source}: neither 'cats' nor a folder, {looked}")
-    files = sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=_natural)
-    if not files:
-        raise ValueError(f"{folder}: no meshes in it; known are {', '.join(SUFFIXES)}")
-    stems = [file.stem for file in files]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            raise ValueError(f"{folder}: several files are called {stem}; give a list of the files you mean")
-    return files
+    return mesh_files([folder])
 
 
 def require_common_order(shapes: Sequence[Shape]) -> None:
@@ -177,7 +169,3 @@ def _data_folder(name: str) -> Path | None:
         raise ValueError(f"FMSYNC_DATA={root}: there is no such folder; unset it to use the generated cats")
     folder = Path(root) / name
     return folder if folder.is_dir() else None
-
-
-def _natural(path: Path) -> list:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
