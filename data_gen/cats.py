@@ -40,11 +40,6 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     list[Shape]
         Closed surfaces of genus zero, named ``cat0``, ``cat1``, ...; the unit is about the length of trunk and head.
 
-    Raises
-    ------
-    ValueError
-        ``count`` is not positive or ``n_vertices`` out of range.
-
     Examples
     --------
     >>> first, second = cats(count=2, n_vertices=1000)

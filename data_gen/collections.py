@@ -28,14 +28,8 @@ def load_collection(
         ``"cats"`` for the synthetic cats; a folder of meshes; the name of a folder inside the one that the environment
         variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
         TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
-    count
-        How many cats; like what follows, of the synthetic ones alone.
-    n_vertices
-        Vertices of each.
-    seed
-        Of the poses.
-    symmetric
-        Whether left and right are alike.
+    count, n_vertices, seed, symmetric
+        Of the synthetic cats alone, see :func:`data_gen.cats.cats`.
 
     Raises
     ------
@@ -51,8 +45,7 @@ def load_collection(
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
     if isinstance(source, str) and source == "cats":
         return cats(count=count, n_vertices=n_vertices, seed=seed, symmetric=symmetric)
-    files = collection_files(source)
-    return [read_shape(file) for file in files]
+    return [read_shape(file) for file in collection_files(source)]
 
 
 def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -68,10 +61,7 @@ def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
 
 
 def require_common_order(shapes: Sequence[Shape]) -> None:
-    """Refuse shapes that cannot share one vertex order.
-
-    Raises ``ValueError`` naming every shape whose vertex count differs from the first one's.
-    """
+    """Refuse shapes that cannot share one vertex order (ValueError that names them)."""
     expected = shapes[0].n_vertices
     different = [f"{shape.name} ({shape.n_vertices})" for shape in shapes if shape.n_vertices != expected]
     if different:
@@ -87,15 +77,8 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
     Line k of a file holds the vertex that corresponds to point k of the template, counted from one in ``.vts`` (as in
     the remeshed benchmarks of Ren et al. 2018) and from zero in ``.txt``.
 
-    Returns
-    -------
-    list[numpy.ndarray]
-        One (K,) array of vertex indices per shape.
-
-    Raises
-    ------
-    ValueError
-        A file is missing, is not a list of vertex numbers, points outside its shape, or has another length.
+    Returns one (K,) array of vertex indices for each shape; a file that is missing, is not a list of vertex numbers,
+    points outside its shape or has another length is a ValueError.
     """
     found = [_read_correspondence(Path(folder), shape) for shape in shapes]
     for shape, points in zip(shapes, found):
@@ -114,17 +97,10 @@ def correspondence_maps(
 
     Parameters
     ----------
-    shapes
-        N shapes of any vertex counts.
-    correspondences
-        N arrays (K,), the vertex of each shape for every point of the template (``load_correspondences``).
+    shapes, correspondences
+        N shapes of any vertex counts, and for each the vertices (K,) of all template points (``load_correspondences``).
     edges
-        (E, 2) pairs (i, j).
-
-    Returns
-    -------
-    dict
-        (i, j) to (V_i,) vertices of j.
+        (E, 2) pairs (i, j), which the result takes to the vertices (V_i,) of j.
 
     Examples
     --------
