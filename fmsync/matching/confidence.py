@@ -27,8 +27,6 @@ class Confidence:
 
     Attributes
     ----------
-    mode
-        (S,) sample of j hit most often, after merging near ones.
     image
         (S,) sample of j under the synchronised map: the centre of the region.
     radius
@@ -48,7 +46,6 @@ class Confidence:
         (S,) mean change of the geodesic distances to all other samples: wrong maps, shapes that are not isometric.
     """
 
-    mode: np.ndarray
     image: np.ndarray
     radius: np.ndarray
     spread: np.ndarray
@@ -94,7 +91,6 @@ def confidence(
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)
     return Confidence(
-        mode=(share @ (g <= _NEAR)).argmax(axis=1),
         image=image,
         radius=np.quantile(g[hits, image], level, axis=0),
         spread=g[votes, image].mean(axis=0),

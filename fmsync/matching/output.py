@@ -49,8 +49,8 @@ def write_all(
             continue
         tables[i] = _vertex_table(synced, i, reference, known[i, reference], calibration)
         stem = folder / "point_maps" / f"{name}_to_{names[reference]}"
-        np.save(stem.with_name(stem.name + ".npy"), tables[i]["image"].to_numpy())
-        tables[i].to_csv(stem.with_name(stem.name + ".csv"), index_label="vertex", float_format="%.5g")
+        np.save(f"{stem}.npy", tables[i]["image"].to_numpy())
+        tables[i].to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
@@ -92,8 +92,6 @@ def _edge_table(synced: SyncedShapes) -> pd.DataFrame:
     """Consistency of every pair."""
     weights = synced.estimate.edge_weights
     names = np.array(synced.names)
-    disagree = np.zeros(len(synced.edges), dtype=bool)
-    disagree[synced.violating] = True
     return pd.DataFrame(
         {
             "first": names[synced.edges[:, 0]],
@@ -102,40 +100,26 @@ def _edge_table(synced: SyncedShapes) -> pd.DataFrame:
             "orientation": [m.orientation for m in synced.matches],
             "residual": np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2)),
             "inlier_weight": np.ones(len(synced.edges)) if weights is None else weights,
-            "sign_disagrees": disagree,
+            "sign_disagrees": np.isin(np.arange(len(synced.edges)), synced.violating),
         }
     )
 
 
 def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:
+    """VTP with all columns, and binary PLY with some; MeshLab colours by ``quality``, which is the region."""
     pv = require("pyvista", "shapes")
-    if shape.faces is None:
-        mesh = pv.PolyData(shape.vertices)
-    else:
-        mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
+    faces = np.empty((0, 3), int) if shape.faces is None else shape.faces
+    mesh = pv.PolyData.from_regular_faces(shape.vertices, faces) if len(faces) else pv.PolyData(shape.vertices)
+    columns = dict(zip("xyz", shape.vertices.T))
     if table is not None:
         for column in table:
             mesh.point_data[column] = table[column].to_numpy().astype(np.float32)
-    mesh.save(stem.with_name(stem.name + ".vtp"))
-    _write_ply(stem.with_name(stem.name + ".ply"), shape, table)
-
-
-def _write_ply(path: Path, shape: Shape, table: pd.DataFrame | None) -> None:
-    """Binary PLY with the scalars as vertex properties; MeshLab colours by ``quality``, which is the region."""
-    fields = [(axis, "<f4") for axis in "xyz"] + ([] if table is None else [("quality", "<f4"), ("spread", "<f4")])
-    rows = np.empty(shape.n_vertices, dtype=fields)
-    for k, axis in enumerate("xyz"):
-        rows[axis] = shape.vertices[:, k]
-    if table is not None:
-        rows["quality"], rows["spread"] = table["region"], table["spread"]
-    n_faces = 0 if shape.faces is None else len(shape.faces)
+        columns |= {"quality": table["region"], "spread": table["spread"]}
+    mesh.save(f"{stem}.vtp")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {shape.n_vertices}"]
-    header += [f"property float {name}" for name, _ in fields]
-    header += [f"element face {n_faces}", "property list uchar int vertex_indices", "end_header\n"]
-    with path.open("wb") as stream:
-        stream.write("\n".join(header).encode())
-        stream.write(rows.tobytes())
-        if n_faces:
-            corners = np.empty(n_faces, dtype=[("count", "u1"), ("corners", "<i4", 3)])
-            corners["count"], corners["corners"] = 3, shape.faces
-            stream.write(corners.tobytes())
+    header += [f"property float {name}" for name in columns]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
+    corners = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    corners["count"], corners["corners"] = 3, faces
+    rows = np.column_stack(list(columns.values())).astype("<f4")
+    Path(f"{stem}.ply").write_bytes("\n".join(header).encode() + rows.tobytes() + corners.tobytes())

@@ -21,47 +21,7 @@ from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
 _VIEWER = Path(__file__).with_name("viewer.js")
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>Correspondences of {count} shapes</title>
-<style>
-:root {{ color-scheme: light dark; --line: #ddd; --flag: #fdf1f0; --pink: #b3147f }}
-@media (prefers-color-scheme: dark) {{ :root {{ --line: #444; --flag: #3a1f1d; --pink: #ff7ccb }} }}
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
-  color: light-dark(#1a1a1a, #e6e6e6); background: light-dark(#fff, #16181c) }}
-table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
-td, th {{ padding: .15rem .7rem; text-align: right; border-bottom: 1px solid var(--line) }}
-td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) {{ text-align: left }}
-.flags {{ border-left: .3rem solid #b3261e; padding: .1rem 1rem .1rem 2rem; background: var(--flag) }}
-.wide {{ overflow-x: auto }} .stage {{ display: flex; flex-wrap: wrap; gap: 1rem }}
-figure {{ margin: 0; flex: 1 1 17rem; max-width: 24rem }} canvas {{ width: 100%; touch-action: pan-y; cursor: grab }}
-figcaption, label {{ font-size: .9rem }} select {{ font: inherit }}
-.bar {{ display: inline-block; width: 7rem; height: .7rem; background: linear-gradient(90deg, {ramp}) }}
-</style></head><body>
-<h1>Correspondences of {count} shapes</h1>
-{flags}
-{summary}
-<h2>Any pair</h2>
-<p><label>Map <select id="from"></select></label> <label>to <select id="to"></select></label> Drag to turn.</p>
-<div class="stage">
-<figure><canvas id="target" width="480" height="480" role="img" aria-label="Target shape, coloured by place"></canvas>
-<figcaption>Target, every place with its own colour</figcaption></figure>
-<figure><canvas id="carried" width="480" height="480" role="img" aria-label="Source shape, colours carried"></canvas>
-<figcaption>Source, every vertex with the colour of its image</figcaption></figure>
-<figure><canvas id="unsure" width="480" height="480" role="img" aria-label="Source shape, by uncertainty"></canvas>
-<figcaption>Source, radius of the {level:.0%} region, √area: 0 <span class="bar"></span>
-{top:.2f}; <b style="color: var(--pink)">pink</b>: two candidate places</figcaption></figure>
-</div>
-<p id="words"></p>
-<h2>Every pair that was matched</h2>
-<p>Distortion: mean change of geodesic distances. Orientation: 1 keeps left and right, -1 swaps them. Residual: distance
-of the pair's own map from the synchronised one. Inlier weight: how far the pair counted in the robust synchronisation.
-Sign disagrees: it contradicts the left and right of the others.</p>
-<div class="wide">{edges}</div>
-<script type="application/json" id="data">{data}</script>
-<script>{viewer}</script>
-</body></html>
-"""
+_PAGE = Path(__file__).with_name("report.html")
 Pairs = dict[tuple[int, int], Confidence]
 Radii = dict[tuple[int, int], np.ndarray]
 _RAMP = np.array([[0.94, 0.93, 0.86], [0.96, 0.73, 0.36], [0.82, 0.30, 0.24], [0.29, 0.05, 0.28]])
@@ -74,7 +34,7 @@ def report(
     radii = {pair: calibration.radius(k, level) for pair, k in known.items()}
     top = float(np.quantile(np.concatenate(list(radii.values())), 0.98))
     ramp = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*(255 * colour)) for colour in _RAMP)
-    return _PAGE.format(
+    return _PAGE.read_text(encoding="utf-8").format(
         count=len(synced.shapes),
         flags=_list(quality_flags(synced), "flags"),
         summary=_list(_summary(synced, known, radii, edges, calibration, level)),

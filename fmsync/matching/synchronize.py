@@ -89,15 +89,13 @@ class SyncedShapes:
 
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
-        if self.posterior is None:
-            raise ValueError("n_draws: confidence needs posterior draws; synchronise with n_draws > 0")
         if not 0 < level < 1:
             raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
-        first, second, draws, votes = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
+        first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
         with single_threaded_blas():
             image = self.sample_images(i, j)
             vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
-        return confidence(first, second, image, vertex, draws, votes, level)
+        return confidence(first, second, image, vertex, draws, self.votes(i, j), level)
 
     def draws(self, i: int, j: int, count: int) -> np.ndarray:
         """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
@@ -188,7 +186,7 @@ def synchronize_shapes(
     each = _parallel(jobs, progress)
     marks = [None] * len(shapes) if landmarks is None else landmarks
     sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
-    refuse_outlier_shapes(sampled)
+    _refuse_outlier_shapes(sampled)
     edges = _edges(graph, sampled)
     light = [s.light(FINE) for s in sampled]
     matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
@@ -242,7 +240,7 @@ def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], S
     return each
 
 
-def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
+def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
     """ValueError that names the shape whose spectrum is far from the rest."""
     logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
     apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)

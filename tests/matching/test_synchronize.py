@@ -123,7 +123,7 @@ def test_conformal_regions_cover_what_they_promise():
     rng = np.random.default_rng(0)
     zeros = np.zeros(4000, dtype=int)
     spread = rng.uniform(0.01, 0.2, 4000)
-    known = Confidence(zeros, zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
+    known = Confidence(zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
     errors = 3 * spread * rng.exponential(size=4000)
     fitted = fit_conformal([known], [errors])
     fresh = 3 * spread * rng.exponential(size=4000)
