@@ -88,14 +88,12 @@ def ground_truth(
         N shapes; vertex v of every shape is the same point of the body, unless ``point_maps`` says otherwise.
     graph
         Connected graph on nodes 0..N-1.
-    n_basis
-        Number n of Laplace–Beltrami eigenfunctions.
+    n_basis, bases
+        Number n of Laplace–Beltrami eigenfunctions, and bases computed before, of at least as many, to save time.
     tree
         ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
         least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the
         order of their numbers.
-    bases
-        Bases computed before, at least n_basis functions each, to save time.
     point_maps
         For every edge (i, j) the vertex of j for each vertex of i, (V_i,): for shapes without a common vertex order.
     flip

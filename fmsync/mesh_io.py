@@ -216,12 +216,10 @@ def _read_stl(path: Path) -> Mesh:
             f"{count} triangles announced, which would be {84 + 50 * count} bytes, not {len(data)}: {_AGAIN}"
         )
     told = [(line, words) for line, words in rows if words[0] in ("facet", "vertex", "endfacet")]
-    for k, (line, words) in enumerate(told):
-        due = ("facet", "vertex", "vertex", "vertex", "endfacet")[k % 5]
-        if words[0] != due:
-            raise ValueError(f"line {line}: {words[0]!r} where {due!r} is due, facets have three corners: {_AGAIN}")
-    if len(told) % 5 or rows[-1][1][0] != "endsolid":
-        raise ValueError(f"the file ends within a facet or without 'endsolid': {_AGAIN}")
+    due = ("facet", "vertex", "vertex", "vertex", "endfacet") * (len(told) // 5) + ("endsolid",)
+    for (line, words), expected in zip([*told, rows[-1]], due):
+        if words[0] != expected:
+            raise ValueError(f"line {line}: {words[0]!r} where {expected!r} is due: {_AGAIN}")
     vertices = _points([row for row in told if row[1][0] == "vertex"], (1, 2, 3))
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 

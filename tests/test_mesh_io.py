@@ -80,8 +80,11 @@ REFUSED = {
     "far-too-many.ply": (ply().replace("vertex 4", f"vertex {10**15}"), "of vertex announced, the file ends after 8"),
     "no-z.ply": (ply().replace("float z", "float w"), "do not begin with x, y and z"),
     "odd-type.ply": (ply().replace("float z", "long z"), "'property long z', which is not understood"),
-    "not-an.stl": ("solid\nnothing\n", "without 'endsolid'"),
-    "cut.stl": ("solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendsolid\n", "within a facet"),
+    "not-an.stl": ("solid\nnothing\n", "line 2: 'nothing' where 'endsolid' is due"),
+    "cut.stl": (
+        "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendsolid\n",
+        "'facet' where 'endsolid' is due",
+    ),
     "unknown.xyz": ("0 0 0\n", "unknown format"),
     "volume.vtk": ("# vtk DataFile Version 3.0\n", "unknown format '.vtk'; convert it to one of"),
     "alone.vert": ("0 0 0\n", "there is no alone.tri"),
