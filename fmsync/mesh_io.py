@@ -9,6 +9,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -164,9 +165,15 @@ def _read_off(path: Path) -> Mesh:
         raise ValueError(f"a text mesh in space begins with OFF, this one with {' '.join(head[:2])!r}: {_AGAIN}")
     counts = ([found[1]] if found[1] else []) + head[1:]  # some write the counts beside the keyword
     counts, rows = (counts, rows[1:]) if counts else (rows[1][1] if len(rows) > 1 else [], rows[2:])
-    if not 2 <= len(counts) <= 3 or not all(word.isdecimal() for word in counts):
-        raise ValueError(f"the line of counts must hold the numbers of vertices, faces and edges, not {counts[:4]}")
+    counts, behind = counts[:3], counts[3:]
+    if len(counts) < 2 or not all(word.isdecimal() for word in counts):
+        raise ValueError(f"the line of counts must hold the numbers of vertices, faces and edges, not {counts}")
     n_vertices, n_faces = int(counts[0]), int(counts[1])
+    if behind or len(rows) < n_vertices + n_faces:  # not one line for each: still legal for triangles without colours
+        words = [(1, word) for word in behind] + [(line, word) for line, row in rows for word in row]
+        if len(words) == 3 * n_vertices + 4 * n_faces:
+            cuts = [*range(0, 3 * n_vertices, 3), *range(3 * n_vertices, len(words) + 1, 4)]
+            rows = [(words[a][0], [word for _, word in words[a:b]]) for a, b in pairwise(cuts)]
     for what, announced, there in (("vertices", n_vertices, len(rows)), ("faces", n_faces, len(rows) - n_vertices)):
         if there < announced:
             raise ValueError(f"{announced} {what} announced, the file ends after {there}: {_AGAIN}")

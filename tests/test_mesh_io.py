@@ -187,6 +187,7 @@ SOUND = {
     "comments.off": "# made by hand\n\n" + off().replace("\n0.0", " # first\n0.0", 1),
     "counts-beside-the-keyword.off": "OFF 4 4 0\n" + ROWS,
     "counts-at-the-keyword.off": "OFF4 4 0\n" + ROWS,
+    "one-line.off": " ".join(off().split()),
     "no-edges.off": "OFF\n4 4\n" + ROWS,
     "colours.off": "COFF\n4 4 0\n" + COLOURED,
     "normals.off": "NOFF\n4 4 6\n" + COLOURED,

@@ -10,12 +10,11 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from fmsync.colours import colours_from_coordinates
-from fmsync.extras import require
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import Confidence
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags
-from fmsync.matching.samples import SampledShape
+from fmsync.matching.samples import SampledShape, decimated
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.threads import single_threaded_blas
 
@@ -82,9 +81,8 @@ def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:
         return np.linspace(0, shape.n_vertices - 1, min(_DRAWN, shape.n_vertices)).astype(int), np.empty((0, 3), int)
     if shape.n_vertices <= _DRAWN:
         return np.arange(shape.n_vertices), shape.faces
-    pv = require("pyvista", "shapes")
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces).decimate(1 - _DRAWN / shape.n_vertices)
-    return cKDTree(shape.vertices).query(np.asarray(mesh.points, dtype=float))[1], mesh.regular_faces
+    vertices, faces = decimated(shape, _DRAWN)
+    return cKDTree(shape.vertices).query(vertices)[1], faces
 
 
 def _packed(values: np.ndarray, kind: str) -> str:

@@ -127,8 +127,10 @@ def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = No
 def geodesics_between(shape: Shape, samples: np.ndarray) -> np.ndarray:
     """Geodesic distances (S, S) by the heat method (Crane et al. 2013) on a copy of at most 3000 vertices."""
     vertices, faces = shape.vertices, shape.faces
-    if len(vertices) > _COARSE:
-        vertices, faces = _coarse(shape)
+    if len(vertices) > _COARSE and faces is None:
+        vertices = vertices[farthest_points(vertices, _COARSE)]
+    elif len(vertices) > _COARSE:
+        vertices, faces = decimated(shape, _COARSE)
     at = cKDTree(vertices).query(shape.vertices[samples])[1]
     if faces is None:
         solver = pp3d.PointCloudHeatSolver(vertices)
@@ -173,10 +175,8 @@ def _descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:
     return functions / np.sqrt(basis.mass @ functions**2)
 
 
-def _coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray | None]:
-    if shape.faces is None:
-        return shape.vertices[farthest_points(shape.vertices, _COARSE)], None
+def decimated(shape: Shape, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a copy of a mesh with about ``size`` vertices."""
     pv = require("pyvista", "shapes")
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
-    mesh = mesh.decimate(1 - _COARSE / shape.n_vertices)
+    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces).decimate(1 - size / shape.n_vertices)
     return np.asarray(mesh.points, dtype=float), mesh.regular_faces.astype(np.int64)

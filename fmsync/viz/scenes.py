@@ -11,7 +11,7 @@ import sys
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fmsync.extras import require
+from fmsync.shape import Shape
 from fmsync.viz.figures import PALETTE, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
@@ -46,16 +47,6 @@ raise SystemExit(0 if w.SupportsOpenGL() else 1)
 
 # of one shape: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)
 Panel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-class Mesh(Protocol):
-    """What can be drawn (:class:`fmsync.Shape`)."""
-
-    @property
-    def vertices(self) -> np.ndarray: ...
-
-    @property
-    def faces(self) -> np.ndarray | None: ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +96,7 @@ class Scene(Shown):
 
 
 def scene(
-    meshes: Sequence[Mesh],
+    meshes: Sequence[Shape],
     scalars: Sequence[ArrayLike] | None = None,
     titles: Sequence[str] | None = None,
     *,
@@ -122,8 +113,8 @@ def scene(
     Parameters
     ----------
     meshes
-        K objects with ``vertices`` (V, 3) and ``faces`` (F, 3), e.g. :class:`fmsync.Shape`, in one common unit. Shown
-        with at most 10,000 vertices a scene; every shown vertex takes the colour of the nearest given vertex.
+        K shapes, or other objects with ``vertices`` (V, 3) and ``faces`` (F, 3), in one common unit. A scene shows at
+        most 10,000 vertices, and every one of them takes the colour of the nearest given vertex.
     scalars
         K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
     titles, alt
@@ -162,7 +153,7 @@ def scene(
     return Scene(png, alt, data, rows, columns, tuple(titles), colour_bar)
 
 
-def _check(meshes: Sequence[Mesh], alt: str, **given: Sequence[object] | None) -> None:
+def _check(meshes: Sequence[Shape], alt: str, **given: Sequence[object] | None) -> None:
     if not len(meshes) or not alt.strip():
         raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
     for k, mesh in enumerate(meshes):
@@ -186,7 +177,11 @@ def _choose_egl() -> None:
 
 
 def _colours(
-    meshes: Sequence[Mesh], scalars: Sequence[ArrayLike] | None, cmap: str, clim: tuple[float, float] | None, label: str
+    meshes: Sequence[Shape],
+    scalars: Sequence[ArrayLike] | None,
+    cmap: str,
+    clim: tuple[float, float] | None,
+    label: str,
 ) -> tuple[list[np.ndarray], str]:
     """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
     if scalars is None:
@@ -210,7 +205,7 @@ def _colours(
     return colours, f'<figcaption class="fm-bar">{row}{caption}</figcaption>'
 
 
-def _panel(mesh: Mesh, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
+def _panel(mesh: Shape, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
     """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
     given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
     given = given - (given.max(axis=0) + given.min(axis=0)) / 2
