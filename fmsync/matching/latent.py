@@ -34,9 +34,9 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
 
     Examples
     --------
-    >>> turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    >>> y = latent_maps(3, np.array([[0, 1], [1, 2], [0, 2]]), np.array([turn, turn, turn @ turn]))
-    >>> bool(np.allclose(y[0].T @ y[2], turn @ turn))
+    >>> c = np.array([[0.0, -1.0], [1.0, 0.0]])
+    >>> y = latent_maps(3, np.array([[0, 1], [1, 2], [0, 2]]), np.array([c, c, c @ c]))
+    >>> bool(np.allclose(y[0].T @ y[2], c @ c))
     True
     """
     k = maps.shape[-1]

@@ -147,7 +147,8 @@ def synchronize_shapes(
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
-    with inferred concentration; larger maps through functions that all shapes share.
+    with inferred concentration; larger maps through functions that all shapes share. A shape in several pieces, inside
+    out, mirrored, or unlike the rest in its spectrum is a ValueError that names it.
 
     Parameters
     ----------
@@ -163,15 +164,8 @@ def synchronize_shapes(
         For each shape the same L vertices in the same order.
     jobs, checkpoint
         Processes of the pairwise stage, through joblib and its active backend; folder of pairs that are finished.
-    progress
-        Show a bar for each long stage.
-    rng
-        Seed or generator of estimators and sampler.
-
-    Raises
-    ------
-    ValueError
-        Fewer than two shapes, one in several pieces or inside out, one unlike the rest in its spectrum, a mirrored one.
+    progress, rng
+        Show a bar for each long stage; seed or generator of estimators and sampler.
 
     Examples
     --------
@@ -195,7 +189,7 @@ def synchronize_shapes(
         estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
         proposed = zip(edges, _flipped(estimate.relative(), edges, signs))
         better = each(f"pairs again {k + 1}/{ROUNDS}", improve, [(light[i], light[j], c) for (i, j), c in proposed])
-        matches = [min(old, new, key=lambda m: m.cost) for old, new in zip(matches, better)]
+        matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
     posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress) if n_draws else None
     maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
