@@ -11,7 +11,7 @@ The order is used to judge, never to map. A part of the measurements is one comm
     time of a vertex's images, price of computing on samples
 ``... planted cats``
     regions where the model is right; flags of two modes where flips were planted
-``... refit cats uneven_cats --out fmsync/matching/recalibration.json``
+``... refit cats uneven_cats --out fmsync/matching/conformal.json``
     the recalibration that the package ships
 
 A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
@@ -32,7 +32,7 @@ import fmsync
 from bench.suites import generator_function
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, synchronize
-from fmsync.matching.confidence import spread_out
+from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, improve, match, zoomout
 from fmsync.matching.samples import farthest_points
@@ -75,7 +75,7 @@ class Judge:
 
     def at(self, i: int, values: np.ndarray) -> np.ndarray:
         """Values at the samples of shape i carried to the judged vertices."""
-        return spread_out(self.shapes[i], values)[self.places[i]]
+        return samples_to_vertices(self.shapes[i], values)[self.places[i]]
 
 
 def collection(name: str) -> list[Shape]:
@@ -164,7 +164,7 @@ def stages(synced: SyncedShapes, judge: Judge, pairs) -> tuple[dict, dict, list]
         return matches[found[i, j]].c_ij if (i, j) in found else matches[found[j, i]].c_ij.T
 
     def absolute_of(estimate, signs):
-        return estimate.absolute * synchronize.turns(signs, n)[:, None]
+        return estimate.absolute * synchronize.basis_signs(signs, n)[:, None]
 
     def relative(absolute):
         return lambda i, j: absolute[i].T @ absolute[j]
@@ -220,7 +220,7 @@ def costs(shapes: list[Shape], places: np.ndarray) -> dict:
     known = synced.confidence(i, j)
     seconds["confidence of a pair on samples"] = clock() - began
     first, second = synced.shapes[i], synced.shapes[j]
-    on_samples = spread_out(first, known.radius)[places[i]]
+    on_samples = samples_to_vertices(first, known.radius)[places[i]]
     solver = pp3d.MeshHeatMethodDistanceSolver(second.shape.vertices, second.shape.faces)
     began, exact = clock(), []
     with single_threaded_blas():

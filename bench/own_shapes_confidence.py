@@ -9,26 +9,26 @@ from bench.own_shapes import Judge, accuracy, judged, some_pairs
 from bench.suites import generator_function
 from fmsync import so
 from fmsync.functional_maps import nearest_rows
-from fmsync.matching import Confidence, Recalibration, SyncedShapes, fit_recalibration
+from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal
 from fmsync.matching.confidence import two_modes
-from fmsync.matching.recalibration import shipped
-from fmsync.matching.synchronize import turns
+from fmsync.matching.conformal import default_calibration
+from fmsync.matching.synchronize import basis_signs
 from fmsync.problem import SyncProblem
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 KEPT = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 _GROSS = 0.05  # errors above it are called gross
-_NUMBERS = ("radius", "entropy", "spread", "stretch", "distortion")  # what a confidence says of a vertex
+_NUMBERS = ("radius", "entropy", "spread", "local_distortion", "distortion")  # what a confidence says of a vertex
 
 
 def collections(loaded: dict) -> dict:
     """Errors, coverage and selective use on every collection, recalibrated on each and as the package ships it."""
     observed = {name: observe(shapes) for name, shapes in loaded.items()}
-    fitted = {name: fit_recalibration(o["known"], o["errors"], name) for name, o in observed.items()}
+    fitted = {name: fit_conformal(o["known"], o["errors"], name) for name, o in observed.items()}
     found = {}
     for k, (name, o) in enumerate(observed.items()):
-        others = {f"recalibrated on {other}": r for other, r in fitted.items()} | {"as shipped": shipped()}
-        strange = next((r for other, r in fitted.items() if other != name), shipped())
+        others = {f"recalibrated on {other}": r for other, r in fitted.items()} | {"as shipped": default_calibration()}
+        strange = next((r for other, r in fitted.items() if other != name), default_calibration())
         peers = k == 0  # on the first collection alone: they take most of the time
         found[name] = accuracy(o["synced"], o["judge"], peers) | {
             "kappa": float(o["synced"].posterior.kappa.mean()),
@@ -45,12 +45,12 @@ def collections(loaded: dict) -> dict:
     return found
 
 
-def refit(loaded: dict) -> Recalibration:
-    """Recalibration from all collections together."""
+def refit(loaded: dict) -> ConformalCalibration:
+    """ConformalCalibration from all collections together."""
     observed = [observe(shapes) for shapes in loaded.values()]
     known, errors = ([x for o in observed for x in o[part]] for part in ("known", "errors"))
     words = " and ".join(f"{len(x)} {n.replace('_', ' ')}" for n, x in loaded.items())
-    return fit_recalibration(known, errors, words.replace("cats", "synthetic cats"))
+    return fit_conformal(known, errors, words.replace("cats", "synthetic cats"))
 
 
 def observe(shapes) -> dict:
@@ -78,7 +78,7 @@ def at_vertices(judge: Judge, i: int, known: Confidence) -> Confidence:
     return replace(known, **{name: judge.at(i, getattr(known, name)) for name in _NUMBERS})
 
 
-def _covered(o: dict, level: float, recalibration: Recalibration | None = None) -> float:
+def _covered(o: dict, level: float, recalibration: ConformalCalibration | None = None) -> float:
     radii = o["draws"][level] if recalibration is None else [recalibration.radius(k, level) for k in o["known"]]
     return float(np.mean(np.concatenate(o["errors"]) <= np.concatenate(radii)))
 
@@ -101,7 +101,7 @@ def cycle_errors(synced: SyncedShapes) -> np.ndarray:
     return np.where(known.any(axis=2), np.where(known, gaps, 0).sum(axis=2) / np.maximum(known.sum(axis=2), 1), np.inf)
 
 
-def selective(o: dict, recalibration: Recalibration) -> dict:
+def selective(o: dict, recalibration: ConformalCalibration) -> dict:
     """Errors of the vertices kept when the least certain are dropped: curves, areas and shares of gross errors."""
     errors = np.concatenate(o["errors"])
     scores = {"expected error": [recalibration.expected(k) for k in o["known"]]}
@@ -143,7 +143,7 @@ def misspecified(synced: SyncedShapes) -> float:
     n = synced.problem.n
     for i, j in some_pairs(len(synced.shapes)):
         a, b = synced.shapes[i].basis.truncated(n), synced.shapes[j].basis.truncated(n)
-        turn = turns(synced.signs, n)
+        turn = basis_signs(synced.signs, n)
         truth = so.project(turn[i][:, None] * a.coefficients(b.eigenfunctions) * turn[j])  # one vertex order
         draws = turn[i][:, None] * synced.draws(i, j, 100) * turn[j]
         mean = so.project(draws.mean(axis=0))
@@ -180,7 +180,7 @@ def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int 
             estimate = fmsync.solve(problem, "mle")
             options = {"kappa": "auto", "n_draws": 250, "warmup": 300, "thin": 4, "rng": seed}
             posterior = fmsync.sample(problem, "heat-bath", init=estimate, **options)
-            turn = turns(synced.signs, n)[:, None]
+            turn = basis_signs(synced.signs, n)[:, None]
             other = replace(synced, problem=problem, posterior=posterior, refined=estimate.absolute * turn)
             for i, j in some_pairs(count, 6):
                 a, b = synced.shapes[i], synced.shapes[j]

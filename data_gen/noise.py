@@ -11,6 +11,13 @@ from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, so
 
+_VERSIONS = {
+    "fmsync": fmsync.__version__,
+    "numpy": np.__version__,
+    "scipy": scipy.__version__,
+    "python": platform.python_version(),
+}
+
 
 def perturb(
     truth: GroundTruth,
@@ -29,41 +36,24 @@ def perturb(
 
     Parameters
     ----------
-    truth
-        What to observe.
-    sigma2
-        Noise variance per entry, >= 0, of the two Gaussian families; at n = 20 the paper's noise makes maps nearly
-        random from 1 on.
+    sigma2, kappa
+        Noise variance per entry, >= 0, of the two Gaussian families (at n = 20 the paper's noise makes maps nearly
+        random from 1 on); in its place the concentration of the Langevin family.
     rng
         Seed or generator; either is recorded.
     noise
         ``"projected-gaussian"``: :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`, the paper's. ``"tangent-gaussian"``:
         :math:`C_{ij}\exp(\sigma\,\mathrm{skew}\,G)`, the same to first order. ``"langevin"``: :math:`C_{ij}Z` with
         density :math:`\propto\exp(\kappa\operatorname{tr}Z)`, exact draws. G has standard normal entries.
-    kappa
-        Concentration of the Langevin family, in place of ``sigma2``.
-    two_way
-        Observe (j, i) as well, with noise of its own.
-    repeats
-        Observations of every (directed) pair: a multigraph for more than one.
+    two_way, repeats
+        Observe (j, i) as well, and every (directed) pair so often, each with noise of its own.
     around
         ``"consistent"``: noise around C_i^T C_j; ``"measured"``: around the maps measured on the shapes, so that their
         model error is part of the problem.
-    outliers
-        Share of the observations in [0, 1) that is replaced: exactly ``round(outliers * E)`` of them.
-    outlier_kind
-        ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right mirrored map
-        :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
-
-    Returns
-    -------
-    SyncProblem
-        With a provenance record; ``provenance["outlier_edges"]`` lists the replaced ones.
-
-    Raises
-    ------
-    ValueError
-        Unknown names, a noise level that does not fit the family, flips without a mirror map.
+    outliers, outlier_kind
+        Share in [0, 1) of the observations that is replaced, exactly ``round(outliers * E)`` of them and listed in
+        ``provenance["outlier_edges"]``; ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right
+        mirrored map :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
 
     Examples
     --------
@@ -75,6 +65,42 @@ def perturb(
     [2, 3]
     """
     disturb = _family(noise, sigma2, kappa)
+    _check(truth, around, repeats, outliers, outlier_kind)
+    generator = np.random.default_rng(rng)
+    record = {
+        "noise": noise,
+        "sigma2": None if sigma2 is None else float(sigma2),
+        "kappa": None if kappa is None else float(kappa),
+        "around": around,
+        "two_way": bool(two_way),
+        "repeats": int(repeats),
+        "outliers": float(outliers),
+        "outlier_kind": outlier_kind if outliers > 0 else None,
+        "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
+        "versions": dict(_VERSIONS),
+    }
+    edges, maps, replaced = _observed(truth, disturb, generator, record)
+    record["outlier_edges"] = replaced.tolist()
+    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
+
+
+def _observed(truth: GroundTruth, disturb: Callable, generator: np.random.Generator, options: dict) -> tuple:
+    """Edges, noisy maps, and which of them are outliers."""
+    edges, maps = truth.edges, truth.maps if options["around"] == "consistent" else truth.measured_maps
+    if options["two_way"]:
+        edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
+    edges, maps = np.tile(edges, (options["repeats"], 1)), np.tile(maps, (options["repeats"], 1, 1))
+    replaced = np.sort(generator.permutation(len(edges))[: round(options["outliers"] * len(edges))])
+    if options["outlier_kind"] == "flip" and len(replaced):
+        i, j = edges[replaced].T
+        maps[replaced] = so.project(so.transpose(truth.absolute[i]) @ truth.flip @ truth.absolute[j])
+    maps = disturb(maps, generator)
+    if options["outlier_kind"] == "haar":
+        maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
+    return edges, maps, replaced
+
+
+def _check(truth: GroundTruth, around: str, repeats: int, outliers: float, outlier_kind: str) -> None:
     if around not in ("consistent", "measured"):
         raise ValueError(f"around: 'consistent' or 'measured', not {around!r}")
     if isinstance(repeats, bool) or int(repeats) != repeats or repeats < 1:
@@ -85,35 +111,6 @@ def perturb(
         raise ValueError(f"outlier_kind: 'haar' or 'flip', not {outlier_kind!r}")
     if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
         raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
-
-    generator = np.random.default_rng(rng)
-    provenance = {
-        **truth.provenance,
-        "noise": noise,
-        "sigma2": None if sigma2 is None else float(sigma2),
-        "kappa": None if kappa is None else float(kappa),
-        "around": around,
-        "two_way": bool(two_way),
-        "repeats": int(repeats),
-        "outliers": float(outliers),
-        "outlier_kind": outlier_kind if outliers > 0 else None,
-        "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
-        "versions": _versions(),
-    }
-
-    edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
-    if two_way:
-        edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
-    edges, maps = np.tile(edges, (repeats, 1)), np.tile(maps, (repeats, 1, 1))
-    replaced = np.sort(generator.permutation(len(edges))[: round(outliers * len(edges))])
-    if outlier_kind == "flip" and len(replaced):
-        i, j = edges[replaced].T
-        maps[replaced] = so.project(so.transpose(truth.absolute[i]) @ truth.flip @ truth.absolute[j])
-    maps = disturb(maps, generator)
-    if outlier_kind == "haar":
-        maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
-    provenance["outlier_edges"] = replaced.tolist()
-    return SyncProblem(truth.n_nodes, edges, maps, provenance=provenance)
 
 
 def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
@@ -134,12 +131,3 @@ def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
     if noise == "tangent-gaussian":
         return lambda maps, rng: maps @ so.exp(sigma * so.skew(rng.standard_normal(maps.shape)))
     return lambda maps, rng: so.project(maps + sigma * rng.standard_normal(maps.shape))
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "fmsync": fmsync.__version__,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "python": platform.python_version(),
-    }

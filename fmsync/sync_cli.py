@@ -39,7 +39,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="recalibration of the regions, from Recalibration.save (default: one fitted on synthetic cats)",
+        help="of the regions, from ConformalCalibration.save (default: one fitted on synthetic cats)",
     )
     parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
     parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")
@@ -61,24 +61,25 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.matching import Recalibration, synchronize_shapes
-    from fmsync.matching.doubts import doubts
+    from fmsync.matching import ConformalCalibration, synchronize_shapes
+    from fmsync.matching.conformal import default_calibration
     from fmsync.matching.output import write_all
-    from fmsync.matching.reading import mesh_files, read_mesh
-    from fmsync.matching.recalibration import shipped
+    from fmsync.matching.quality import quality_flags
+    from fmsync.mesh_io import mesh_files, read_shape
 
     _check(options)
-    recalibration = shipped() if options.calibration is None else Recalibration.load(options.calibration)
-    recalibration.scale(options.level)
+    chosen = options.calibration
+    calibration = default_calibration() if chosen is None else ConformalCalibration.load(chosen)
+    calibration.scale(options.level)
     files = mesh_files(options.meshes)
     names = file_names([file.stem for file in files])
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     with _working_folder(options.output) as work:
-        shapes = [replace(read_mesh(file), name=name) for file, name in zip(files, names)]
-        landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
-        print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
+            shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
+            landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+            print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             synced = synchronize_shapes(
                 shapes,
                 n_basis=options.basis,
@@ -95,11 +96,11 @@ def run(options: argparse.Namespace) -> int:
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        write_all(synced, folder, options.level, recalibration, progress=progress)
+        write_all(synced, folder, options.level, calibration, progress=progress)
         for part in folder.iterdir():
             os.replace(part, options.output / part.name)
         shutil.rmtree(work)
-    said = list(dict.fromkeys([*doubts(synced), *_unsaid(caught)]))
+    said = list(dict.fromkeys([*quality_flags(synced), *_unsaid(caught)]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
     if options.json:
@@ -184,7 +185,7 @@ def _summary(synced: "SyncedShapes", output: Path, files: Sequence[Path], said: 
 
 def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
     """Warnings that are not said in plain words already."""
-    # of other categories: a ConvergenceWarning is one of the doubts, the rest is for programmers
+    # of other categories: a ConvergenceWarning is one of the flags, the rest is for programmers
     return [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
 
 
