@@ -42,7 +42,7 @@ from data_gen.cache import arithmetic
 
 RULES = ("bits", "tolerance", "rounding", "Monte Carlo", "Monte Carlo together")
 _FEWEST = 3  # runs of which nothing is concluded: Student's distribution has no variance then
-_SECONDS, _MEMORY = 1200.0, 16000.0
+_LIMITS = (1200.0, 16000.0)  # seconds and MB
 _RUN = ["suite", "generator", "problem", "label", "method", "options", "seed"]
 
 Curve = dict[float | None, float]  # values of a metric by their abscissa, which is None for a single number
@@ -125,7 +125,7 @@ def verify(
         rows = sound[number == k]
         row = rows.iloc[0]
         problem, options = json.loads(row.problem), json.loads(row.options)
-        run = Run(row.generator, problem, int(row.seed), row.label, row.method, options, _SECONDS, _MEMORY)
+        run = Run(row.generator, problem, int(row.seed), row.label, row.method, options, *_LIMITS)
         try:
             data_hash(run.generator, run.problem)
         except ValueError:
@@ -219,14 +219,11 @@ def _deviation(values: np.ndarray, metric: Metric) -> float:
 
 
 def together(label: str, name: str, repeated: list[Repeated]) -> Verdict:
-    """Compare the mean over runs, each weighed by the inverse of its standard deviation.
-
-    Of a standardised difference the variance is that of Student's distribution times 1 + 1/k; the sum of several is
-    nearly normal.
-    """
+    """Compare the mean over runs, each weighed by the inverse of its standard deviation."""
     weights = np.array([1 / one.deviation for one in repeated])
     before = float(np.average([one.before for one in repeated], weights=weights))
     now = float(np.average([one.mean for one in repeated], weights=weights))
+    # of a standardised difference the variance is Student's times 1 + 1/k; the sum of several is nearly normal
     variances = [(1 + 1 / one.count) * (one.count - 1) / (one.count - 3) for one in repeated]
     interval = _metric(name).standard_errors * np.sqrt(sum(variances)) / weights.sum()
     verdict = "agrees" if abs(before - now) <= interval else "differs"
