@@ -22,11 +22,11 @@ class Planted:
     truth
         (N, n, n) rotations.
     references
-        Numbers to draw beside the measured ones, by metric name: error floor, expected line.
+        Numbers to draw beside the measured ones, by metric name: lower bound and expected value of the error.
     bases
         The N bases of the shapes, where point maps are to be scored; else ().
     scored
-        (P,) vertices whose images are scored, the same on every shape.
+        (P,) evaluation vertices, whose images are scored, the same on every shape.
     distances
         (P, V) geodesic distances of each shape from its scored vertices to all of its vertices, in units of the square
         root of its area; same length as ``bases``.
