@@ -11,7 +11,7 @@ import inspect
 import pkgutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,6 @@ from fmsync import estimators, samplers
 from fmsync.estimators.base import ESTIMATORS
 from fmsync.problem import relative_maps
 from fmsync.samplers.base import SAMPLERS
-from fmsync.samplers.together import sample_together
 
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
 
@@ -99,29 +98,13 @@ class Method:
             return sampled(planted.problem, self.name, rng=rng, **options)
         return self.function(planted if self.sees_planted else planted.problem, rng=rng, **options)
 
-    def can_run_together(self, options: Mapping[str, object]) -> bool:
-        """Whether problems of one size can be answered as one batch: one chain of ``"rlfm"`` for each."""
-        return self.name == "rlfm" and options.get("n_chains") == 1
-
-    def run_together(
-        self, planted: Sequence, rngs: Sequence[np.random.Generator], options: Mapping[str, object]
-    ) -> list[Answer]:
-        """Answers to several problems, each the one that :meth:`run` gives."""
-        options = {name: value for name, value in options.items() if name != "n_chains"}
-        began = time.perf_counter()
-        posteriors = sample_together([one.problem for one in planted], rngs=rngs, **options)
-        share = (time.perf_counter() - began) / len(posteriors)
-        return [_answer(post, share) for post in posteriors]
-
 
 def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Answer:
     """Draws of a sampler; its point answer is the chordal mean of the relative maps, free of any gauge."""
     began = time.perf_counter()
     post = samplers.sample(problem, method, rng=rng, **options)
-    return _answer(post, time.perf_counter() - began)
+    seconds = time.perf_counter() - began
 
-
-def _answer(post: samplers.Posterior, seconds: float) -> Answer:
     def numbers() -> dict[str, float]:
         ess = np.fmin.reduce(post.summary().ess_bulk)  # NaN only if nothing varies
         return {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}

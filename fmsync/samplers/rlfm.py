@@ -1,7 +1,5 @@
 r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from fmsync import so
@@ -15,7 +13,7 @@ _POLISH_EVERY = 100  # steps between two repairs of orthogonality
 
 @sampler("rlfm")
 class RLFM:
-    r"""Riemannian Langevin functional map sampler: unadjusted, so its law is off by O(h).
+    r"""Riemannian Langevin functional map sampler: unadjusted, so its distribution is off by O(h).
 
     .. math::
         V_i &= \Pi_{C_i}\bigl(-h\,\nabla_i U + \sqrt{2h/\beta}\,Z_i\bigr),
@@ -28,12 +26,11 @@ class RLFM:
     Parameters
     ----------
     problem
-        What was observed. A tuple of K problems of one size, without a prior, is met by one chain each
-        (:func:`fmsync.samplers.together.sample_together`): every chain takes the very steps that it would take alone.
+        What was observed.
     start
         (K, N, n, n) rotations.
     rng
-        Generator, or one for each of several problems.
+        Generator of all chains.
     prior
         As for :func:`fmsync.sample`.
     energy
@@ -61,9 +58,9 @@ class RLFM:
 
     def __init__(
         self,
-        problem: SyncProblem | tuple[SyncProblem, ...],
+        problem: SyncProblem,
         start: np.ndarray,
-        rng: np.random.Generator | tuple[np.random.Generator, ...],
+        rng: np.random.Generator,
         prior: LangevinPrior | None = None,
         *,
         energy: str = "euclidean",
@@ -78,43 +75,39 @@ class RLFM:
         _one_of("retraction", retraction, ("exp", "qf"))
         _one_of("drift", drift, ("descent", "printed"))
         concentrated = concentration(kappa, beta)
-        problems = problem if isinstance(problem, tuple) else (problem,)
         if energy == "geodesic":
             if not constrained:
                 raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
-            for one in problems:
-                check_rotations(one.maps, "maps (node = edge)")
+            check_rotations(problem.maps, "maps (node = edge)")
         if step is not None and not (np.isfinite(step) and step > 0):
             raise ValueError(f"step: must be finite and > 0, got {step}; leave it out for the default")
-        self._n_kept, n = problems[0].n_nodes, problems[0].n
+        self._n_kept = problem.n_nodes
         self._held: int | None = None
         if prior is not None:
-            with_prior, start = with_anchor(problems[0], start, prior, concentrated)
-            problems, self._held = (with_prior,), self._n_kept
+            problem, start = with_anchor(problem, start, prior, concentrated)
+            self._held = self._n_kept
         elif not constrained:
             start, self._held = fix_gauge(start), 0
-            start[:, 0] = np.eye(n)  # without the rounding
-        self._problems = problems
+            start[:, 0] = np.eye(problem.n)  # without the rounding
+        self._problem, self._rng, self._age = problem, rng, 0
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
         self._sums: np.ndarray | None = None  # neighbour sums of the present state, if known
-        self._rngs, self._age = rng if isinstance(rng, tuple) else (rng,), 0
         self._euclidean, self._exp, self._constrained = energy == "euclidean", retraction == "exp", constrained
-        self._sign = 1.0 if drift == "descent" else -1.0
+        self._climbs = drift == "printed"
         self._beta = concentrated / 2
-        default = [default_step(one, concentrated) for one in problems]
-        self.steps = np.broadcast_to(np.array(default if step is None else float(step)), len(self._c))  # (K,)
-        self._drift, self._spread = self._sign * self.steps, np.sqrt(2 * self.steps / self._beta)  # (K,)
-        self._connections = _connections(problems)
+        default = default_step(problem, concentrated)
+        self._h = default if step is None else float(step)
+        self._drift, self._spread = -self._h if self._climbs else self._h, np.sqrt(2 * self._h / self._beta)
         if not constrained:
-            self._gram = np.stack([_gram(one) for one in problems])  # (K or 1, N, n, n)
+            self._gram = _gram(problem)
         self.kappa = np.full(len(self._c), concentrated)
-        self.ceiling = self._ceilings()
-        self.advice = f"the step h = {self.steps.max():.3g} is too long, try step={min(*default, *self.steps / 4):.2g}"
+        self.ceiling = self._ceiling()
+        self.advice = f"the step h = {self._h:.3g} is too long, try step={min(default, self._h / 4):.2g}"
         self.settings = {
             "energy": energy,
             "retraction": retraction,
             "constrained": bool(constrained),
-            "step": float(self.steps[0]),
+            "step": float(self._h),
             "beta": self._beta,
             "drift": drift,
         }
@@ -131,11 +124,10 @@ class RLFM:
     def energy(self) -> np.ndarray:
         """(K,) potential U of the state, with the prior's part."""
         if not self._constrained:
-            return self._each(unconstrained_energy)
+            return unconstrained_energy(self._problem, self._c)
         if not self._euclidean:
-            return self._each(geodesic_energy)
-        constant = np.array([problem.constant for problem in self._problems])
-        return constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
+            return geodesic_energy(self._problem, self._c)
+        return self._problem.constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
 
     def step(self, warming: bool) -> None:
         """Advance all chains by one step; nothing is adapted."""
@@ -144,8 +136,8 @@ class RLFM:
             self._retract(self._tangents())
         else:
             gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
-            drift, spread = self._drift[:, None, None, None], self._spread[:, None, None, None]
-            self._c = self._c - drift * gradient + spread * self._noise(self._c.shape)
+            noise = self._rng.standard_normal(self._c.shape)
+            self._c = self._c - self._drift * gradient + self._spread * noise
         if fixed is not None:
             self._c[:, self._held] = fixed
         self._sums = None
@@ -153,25 +145,17 @@ class RLFM:
         if self._constrained and self._age % _POLISH_EVERY == 0:
             self._c = langevin_kernels.polish(self._c)
 
-    def _noise(self, shape: tuple[int, ...]) -> np.ndarray:
-        """(K, ...) standard normal numbers: all from one generator, or those of a chain from its own."""
-        noise = np.empty(shape)
-        for rng, part in zip(self._rngs, np.split(noise, len(self._rngs))):
-            rng.standard_normal(out=part)
-        return noise
-
     def _tangents(self) -> np.ndarray:
         """Body-frame Ω (K N, n, n) of V = C Ω."""
-        count, n_nodes, n = self._c.shape[:3]
+        n = self._c.shape[-1]
         flat = self._c.reshape(-1, n, n)
-        noise = self._noise((count, n_nodes, n * (n - 1) // 2)).reshape(len(flat), -1)
-        drift, spread = np.repeat(self._drift, n_nodes), np.repeat(self._spread, n_nodes)
+        noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
+        drift, spread = np.full(len(flat), self._drift), np.full(len(flat), self._spread)
         if self._euclidean:
-            return langevin_kernels.langevin_tangents(
-                flat, self._neighbour_sums().reshape(flat.shape), noise, drift, spread
-            )
+            sums = self._neighbour_sums().reshape(flat.shape)
+            return langevin_kernels.langevin_tangents(flat, sums, noise, drift, spread)
         omega = langevin_kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)
-        omega -= drift[:, None, None] * self._each(geodesic_gradient).reshape(flat.shape)
+        omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
         return omega
 
     def _retract(self, omega: np.ndarray) -> None:
@@ -183,36 +167,18 @@ class RLFM:
 
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:
-            self._sums = self._each(neighbour_sums) if self._connections is None else self._dense_sums()
+            self._sums = neighbour_sums(self._problem, self._c)
         return self._sums
 
-    def _each(self, function: Callable[[SyncProblem, np.ndarray], np.ndarray]) -> np.ndarray:
-        """(K, ...) function of problem and state: called once where all chains share a problem."""
-        if len(self._problems) == 1:
-            return function(self._problems[0], self._c)
-        return np.stack([function(problem, c) for problem, c in zip(self._problems, self._c)])
-
-    def _dense_sums(self) -> np.ndarray:
-        """:func:`neighbour_sums` of every chain's own problem, as one batch of dense products."""
-        count, n_nodes, n = self._c.shape[:3]
-        stacked = np.ascontiguousarray(self._c.transpose(0, 2, 1, 3)).reshape(count, n, n_nodes * n)
-        sums = (stacked @ self._connections).reshape(count, n, n_nodes, n)
-        return np.ascontiguousarray(sums.transpose(0, 2, 1, 3))
-
-    def _ceilings(self) -> np.ndarray:
-        """(K,) energies that no sound chain reaches."""
-        count = len(self._c)
-        if self._sign < 0:
-            return np.full(count, np.finfo(float).max)  # climbs on purpose
-        each = zip(self._problems, self._rngs, np.split(self.energy(), len(self._problems)))
-        return np.concatenate([self._ceiling(problem, rng, energy) for problem, rng, energy in each])
-
-    def _ceiling(self, problem: SyncProblem, rng: np.random.Generator, energy: np.ndarray) -> np.ndarray:
-        r"""The same of the chains of one problem, which start at ``energy``.
+    def _ceiling(self) -> np.ndarray:
+        r"""(K,) energies that no sound chain reaches.
 
         Every posterior lies below the mean m of U under Haar, by β s² to first order with s its standard deviation. A
         chain whose start lay far below must not come back to m; the others must not be ten s above it.
         """
+        if self._climbs:
+            return np.full(len(self._c), np.finfo(float).max)
+        problem, energy = self._problem, self.energy()
         weights, maps, n = problem.weights, problem.maps, problem.n
         if not self._constrained:
             free = self._c[0].size - n * n
@@ -221,7 +187,7 @@ class RLFM:
             mean = problem.constant
             deviation = 2 * np.sqrt(weights**2 @ (maps**2).sum((1, 2)) / n)
         else:
-            squared = so.dist(np.eye(n), so.random_uniform(n, 200, rng.spawn(1)[0])) ** 2
+            squared = so.dist(np.eye(n), so.random_uniform(n, 200, self._rng.spawn(1)[0])) ** 2
             mean, deviation = squared.mean() * weights.sum(), squared.std() * np.sqrt((weights**2).sum())
         gap = np.minimum(mean - energy, self._beta * deviation**2)  # where a sound chain stays below the mean
         return np.where(0.9 * gap > 6 * deviation, mean - 0.1 * gap, mean + 10 * deviation)
@@ -230,13 +196,6 @@ class RLFM:
 def default_step(problem: SyncProblem, kappa: float) -> float:
     r"""The default h: :math:`h/\beta = 1/(10\,(\kappa\,\deg_{\max} + n))`, β = κ/2."""
     return 0.05 * kappa / (kappa * problem.degrees.max() + problem.n)
-
-
-def _connections(problems: tuple[SyncProblem, ...]) -> np.ndarray | None:
-    """(K, N n, N n) connection matrices of several problems, or None where one product does not serve them all."""
-    if len(problems) == 1 or not all(problem.is_dense for problem in problems):
-        return None
-    return np.stack([problem.connection for problem in problems])
 
 
 def _gram(problem: SyncProblem) -> np.ndarray:
