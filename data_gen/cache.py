@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import os
 import platform
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -14,6 +13,8 @@ import numpy as np
 import scipy
 import scipy.linalg  # loads the BLAS of SciPy, which arithmetic() asks for its name
 from threadpoolctl import threadpool_info
+
+from fmsync.files import replacing
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -29,7 +30,10 @@ def cached(key: str, build: Callable[[], Arrays]) -> Arrays:
     arrays = _read(path)
     if arrays is None:
         arrays = build()
-        _write(path, arrays)
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as file:
+                np.savez(file, checksum=np.array(checksum(arrays)), **arrays)
     return arrays
 
 
@@ -41,20 +45,8 @@ def arithmetic() -> str:
     these happens depends on the kernels that OpenBLAS chose (for NumPy and for SciPy), on the processor features that
     NumPy uses (all that it finds, without those in ``NPY_DISABLE_CPU_FEATURES``), on ``NUMBA_CPU_NAME`` and
     ``NUMBA_CPU_FEATURES``, on the versions of NumPy and SciPy, and on the machine's architecture and C library.
-    Results with the same name are expected to agree bit by bit.
-
-    The environment variables that change it (``OPENBLAS_CORETYPE`` as well) must be set before Python starts.
-
-    Returns
-    -------
-    str
-        The BLAS kernel of NumPy or SciPy, for the reader, and a hash of everything: such as ``"Haswell-3f2a91c04b7e"``.
-
-    Examples
-    --------
-    >>> from data_gen.cache import arithmetic
-    >>> arithmetic() == arithmetic()
-    True
+    Results with the same name, such as ``"Haswell-3f2a91c04b7e"``, are expected to agree bit by bit. The environment
+    variables that change it (``OPENBLAS_CORETYPE`` as well) must be set before Python starts.
     """
     libraries = [library for library in threadpool_info() if library["user_api"] == "blas"]
     blas = sorted({f"{b['internal_api']} {b['version']} {b.get('architecture', 'unknown')}" for b in libraries})
@@ -93,18 +85,3 @@ def _read(path: Path) -> Arrays | None:
         return None
     stored = arrays.pop("checksum", None)
     return arrays if stored is not None and str(stored) == checksum(arrays) else None
-
-
-def _write(path: Path, arrays: Arrays) -> None:
-    """Under a temporary name first: another process never sees half a file."""
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-            temporary = file.name
-            np.savez(file, checksum=np.array(checksum(arrays)), **arrays)
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)

@@ -6,7 +6,7 @@ and it is mirror symmetric in the plane y = 0 by construction.
 """
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,14 +24,14 @@ class Bone:
 
 @dataclass(frozen=True)
 class Cone:
-    """A round cone from ``start`` to ``end``, carried by ``bone``; ``stretch`` scales it along x, y, z."""
+    """A round cone from ``start`` to ``end``, carried by ``bone``; ``scale`` widens it along x, y, z."""
 
     bone: str
     start: tuple[float, float, float]
     end: tuple[float, float, float]
     radius_start: float
     radius_end: float
-    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 _TAIL = [(-0.36 - 0.0802 * k, 0, z) for k, z in enumerate([0.47, 0.475, 0.465, 0.45, 0.44, 0.44, 0.45, 0.465])]
@@ -78,42 +78,39 @@ _LEFT_CONES = [
 ]
 
 
-def _mirrored_point(point):
-    return (point[0], -point[1], point[2])
-
-
 def bones() -> list[Bone]:
     """All bones, parents before children; paired bones are named ``"left ..."`` and ``"right ..."``."""
     sides = []
-    for side in ("left", "right"):
+    for side, sign in (("left", 1), ("right", -1)):
         for bone in _LEFT_BONES:
-            parent = bone.parent if bone.parent in {b.name for b in _MIDDLE_BONES} else f"{side} {bone.parent}"
-            joint = bone.joint if side == "left" else _mirrored_point(bone.joint)
-            sides.append(Bone(f"{side} {bone.name}", parent, joint))
+            x, y, z = bone.joint
+            sides.append(Bone(f"{side} {bone.name}", _on_side(side, bone.parent), (x, sign * y, z)))
     return _MIDDLE_BONES + sides
 
 
 def cones() -> list[Cone]:
     """All round cones of the skin, left and right."""
-    middle_names = {bone.name for bone in _MIDDLE_BONES}
     sides = []
-    for side in ("left", "right"):
+    for side, sign in (("left", 1), ("right", -1)):
         for cone in _LEFT_CONES:
-            bone = cone.bone if cone.bone in middle_names else f"{side} {cone.bone}"
-            ends = (cone.start, cone.end) if side == "left" else map(_mirrored_point, (cone.start, cone.end))
-            sides.append(Cone(bone, *ends, cone.radius_start, cone.radius_end, cone.stretch))
+            start, end = ((x, sign * y, z) for x, y, z in (cone.start, cone.end))
+            sides.append(replace(cone, bone=_on_side(side, cone.bone), start=start, end=end))
     return _MIDDLE_CONES + sides
 
 
+def _on_side(side, bone):
+    return bone if bone in {b.name for b in _MIDDLE_BONES} else f"{side} {bone}"
+
+
 def cone_distance(points: np.ndarray, cone: Cone) -> np.ndarray:
-    """Signed distance (up to the stretch) of points (..., 3) from one round cone, negative inside."""
-    stretch = np.array(cone.stretch)
-    start, end = np.array(cone.start) / stretch, np.array(cone.end) / stretch
-    offset, axis = points / stretch - start, end - start
+    """Signed distance (up to the scale) of points (..., 3) from one round cone, negative inside."""
+    scale = np.array(cone.scale)
+    start, end = np.array(cone.start) / scale, np.array(cone.end) / scale
+    offset, axis = points / scale - start, end - start
     length2 = axis @ axis
     along = np.clip(offset @ axis / length2, 0, 1) if length2 > 0 else np.zeros(points.shape[:-1])
     radius = cone.radius_start + along * (cone.radius_end - cone.radius_start)
-    return (np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius) * stretch.min()
+    return (np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius) * scale.min()
 
 
 def skin(points: np.ndarray) -> np.ndarray:

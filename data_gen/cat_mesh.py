@@ -20,9 +20,8 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangulate the cat at rest.
 
     Returns ``vertices`` (V, 3), ``faces`` (F, 3) and ``mirror`` (V,): the vertex opposite to each vertex. Vertices in
-    the mirror plane come first, then the left ones, then their mirror images in the same order.
-
-    Raises ``ValueError`` when the number of vertices is too small for the ears and the tail.
+    the mirror plane come first, then the left ones, then their mirror images in the same order. A number of vertices
+    that is too small for the ears and the tail is a ValueError.
     """
     points, triangles = _half_skin(n_vertices)
     areas = _vertex_areas(points, triangles)  # (P,)
@@ -37,8 +36,7 @@ def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     mirror = np.r_[np.arange(n_plane), n_plane + n_left + np.arange(n_left), n_plane + np.arange(n_left)]
     faces = np.vstack([half, mirror[half][:, ::-1]])
-    left = sites[n_plane:]
-    vertices = np.vstack([sites, left * [1, -1, 1]])
+    vertices = np.vstack([sites, sites[n_plane:] * [1, -1, 1]])
     _check_closed(faces, n_vertices)
     return vertices, faces, mirror
 
@@ -54,16 +52,14 @@ def _half_skin(n_vertices):
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
     points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0
-    points = _onto_skin(points)
-    return points, surface.regular_faces.astype(np.int64)
+    return _onto_skin(points), surface.regular_faces.astype(np.int64)
 
 
 def _gradient(points):
     """Gradient of the implicit function by central differences (P, 3); in the mirror plane it has no y."""
     delta = 1e-5
-    gradient = np.stack(
-        [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)], axis=-1
-    )
+    slopes = [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)]
+    gradient = np.stack(slopes, axis=-1)
     gradient[points[:, 1] == 0, 1] = 0
     return gradient
 
@@ -82,15 +78,11 @@ def _vertex_areas(points, triangles):
     return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(points))
 
 
-def _boundary_edges(triangles):
+def _boundary_length(points, triangles):
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
-    return unique[count == 1]
-
-
-def _boundary_length(points, triangles):
-    edges = _boundary_edges(triangles)
-    return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).sum()
+    first, second = unique[count == 1].T
+    return np.linalg.norm(points[first] - points[second], axis=1).sum()
 
 
 def _voronoi(points, areas, in_plane, n_plane, n_left, edge):
@@ -102,11 +94,8 @@ def _voronoi(points, areas, in_plane, n_plane, n_left, edge):
     gradient = _gradient(points)
     features = np.hstack([points, 0.5 * edge * gradient / np.linalg.norm(gradient, axis=1, keepdims=True)])  # (P, 6)
     plane, left = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
-    first = np.r_[
-        _farthest(points, plane, n_plane),
-        rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum()),
-    ]
-    sites = features[first]
+    drawn = rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum())
+    sites = features[np.r_[_farthest(points, plane, n_plane), drawn]]
     for _ in range(_LLOYD_STEPS):
         labels = cKDTree(sites).query(features)[1]
         # samples in the mirror plane belong to sites in the plane: the rim of the half is then a chain of those sites

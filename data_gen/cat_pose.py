@@ -27,19 +27,18 @@ def _tail(pitch, yaw=0.0, curl=0.0):
     return {f"tail{k}": (0, pitch + curl * (k - 3), yaw) for k in range(7)}
 
 
-def _pitches(joints, base, *directions, spread=0.0):
-    """Pitch of each joint in a chain so that the pieces point in ``directions`` (degrees from rest, in the world)."""
-    local = np.diff([base, *directions])
+def _pitches(joints, *directions, spread=0.0):
+    """Pitch of each joint in a chain: the first direction is that before it, the others of its pieces (degrees)."""
+    local = np.diff(directions)
     return {joint: (spread if k == 0 else 0, pitch, 0) for k, (joint, pitch) in enumerate(zip(joints, local))}
 
 
-def _fore(side, base, *directions, spread=0.0):
-    return _pitches([f"{side}upper arm", f"{side}forearm", f"{side}hand"], base, *directions, spread=spread)
+def _fore(side, *directions, spread=0.0):
+    return _pitches([f"{side}{joint}" for joint in ("upper arm", "forearm", "hand")], *directions, spread=spread)
 
 
-def _hind(side, base, *directions, spread=0.0):
-    joints = [f"{side}thigh", f"{side}shin", f"{side}foot", f"{side}toes"]
-    return _pitches(joints, base, *directions, spread=spread)
+def _hind(side, *directions, spread=0.0):
+    return _pitches([f"{side}{joint}" for joint in ("thigh", "shin", "foot", "toes")], *directions, spread=spread)
 
 
 def _spine(pelvis, loin, chest, yaw=0.0):
@@ -147,10 +146,7 @@ def muscle_tone(k: int) -> np.ndarray:
 
 
 def joint_transforms(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone from rest into the pose.
-
-    Raises ``ValueError`` for a joint that the cat does not have.
-    """
+    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone from rest into the pose."""
     skeleton = bones()
     names = [bone.name for bone in skeleton]
     angles = _both_sides(pose, names)
@@ -205,10 +201,9 @@ class Rig:
         keep = off.row != off.col
         self._from, self._to = off.row[keep], off.col[keep]  # every edge in both directions
         self._stiffness = -off.data[keep]
-        self._gather = coo_array(
-            (np.ones(len(self._from)), (self._from, np.arange(len(self._from)))),
-            shape=(len(vertices), len(self._from)),
-        ).tocsr()
+        n_ends = len(self._from)
+        links = np.ones(n_ends), (self._from, np.arange(n_ends))
+        self._gather = coo_array(links, shape=(len(vertices), n_ends)).tocsr()
         certainty = np.clip((self.weights.max(axis=1) - 0.6) / 0.4, 0, 1) ** 2
         self._anchor = _ANCHOR * certainty * stiffness.diagonal()
         self._solve = _factorised(stiffness + diags_array(self._anchor)).solve
@@ -260,17 +255,15 @@ def _vertex_normals(vertices, faces):
 
 def _cotangents(vertices, faces):
     """Stiffness matrix with non-negative weights (V, V), and vertex areas (V,)."""
-    rows, cols, values = [], [], []
+    entries, n = [], len(vertices)
     corners = vertices[faces]
     double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         cosine = ((corners[:, i] - corners[:, k]) * (corners[:, j] - corners[:, k])).sum(1)
-        rows.append(faces[:, i])
-        cols.append(faces[:, j])
-        values.append(0.5 * cosine / double_area)
-    n = len(vertices)
-    half = coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), shape=(n, n))
+        entries.append((faces[:, i], faces[:, j], 0.5 * cosine / double_area))
+    rows, columns, values = (np.concatenate(part) for part in zip(*entries))
+    half = coo_array((values, (rows, columns)), shape=(n, n))
     weights = (half + half.T).tocsr()
     weights.data = np.maximum(weights.data, 1e-3)  # obtuse pairs would make the energy indefinite
     areas = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), minlength=n)

@@ -25,10 +25,9 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
 
     Parameters
     ----------
-    count
-        Number of cats. The first 11 take the poses of ``cat_pose.POSES`` in order, the others are drawn between them.
-    n_vertices
-        From 1000 to 30000, the same in every pose; vertex v of one cat corresponds to vertex v of another.
+    count, n_vertices
+        Number of cats, of which the first 11 take the poses of ``cat_pose.POSES`` in order and the others are drawn
+        between them, and of the vertices of each, 1000 to 30000; vertex v of one corresponds to vertex v of another.
     seed
         Turns every joint a little (standard deviation 1.5 degrees) and draws the poses past the eleventh.
         Cat k does not depend on ``count``.
@@ -40,11 +39,6 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     list[Shape]
         Closed surfaces of genus zero, named ``cat0``, ``cat1``, ...; the unit is about the length of trunk and head.
 
-    Raises
-    ------
-    ValueError
-        ``count`` is not positive or ``n_vertices`` out of range.
-
     Examples
     --------
     >>> first, second = cats(count=2, n_vertices=1000)
@@ -53,7 +47,6 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     """
     if count < 1:
         raise ValueError(f"count = {count}: ask for at least one cat")
-    _check_resolution(n_vertices)
     key = f"cats-{count}-{n_vertices}-{seed}-{'symmetric' if symmetric else 'asymmetric'}-{_recipe()}"
     made = cached(key, lambda: _build(count, n_vertices, seed, symmetric))
     return [Shape(vertices, made["faces"], f"cat{k}") for k, vertices in enumerate(made["vertices"])]
@@ -68,13 +61,7 @@ def left_right_flip(n_vertices: int = 5000) -> np.ndarray:
     >>> bool((flip[flip] == range(1000)).all())
     True
     """
-    _check_resolution(n_vertices)
     return _rest(n_vertices)["mirror"]
-
-
-def _check_resolution(n_vertices):
-    if not _MIN_VERTICES <= n_vertices <= _MAX_VERTICES:
-        raise ValueError(f"n_vertices = {n_vertices}: ask for {_MIN_VERTICES} to {_MAX_VERTICES} vertices")
 
 
 def _recipe() -> str:
@@ -85,11 +72,10 @@ def _recipe() -> str:
 
 
 def _rest(n_vertices):
-    def build():
-        vertices, faces, mirror = rest_mesh(n_vertices)
-        return {"vertices": vertices, "faces": faces, "mirror": mirror}
-
-    return cached(f"cat-at-rest-{n_vertices}-{_recipe()}", build)
+    if not _MIN_VERTICES <= n_vertices <= _MAX_VERTICES:
+        raise ValueError(f"n_vertices = {n_vertices}: ask for {_MIN_VERTICES} to {_MAX_VERTICES} vertices")
+    names = ("vertices", "faces", "mirror")
+    return cached(f"cat-at-rest-{n_vertices}-{_recipe()}", lambda: dict(zip(names, rest_mesh(n_vertices))))
 
 
 def _build(count, n_vertices, seed, symmetric):
@@ -111,8 +97,7 @@ def _grow_right_half(vertices):
     """Scale y < 0 about the middle of the trunk, growing smoothly from the mirror plane on."""
     step = np.clip(-vertices[:, 1] / 0.06, 0, 1)
     growth = _GROWTH * step**2 * (3 - 2 * step)
-    centre = np.array([0, 0, 0.42])
-    return vertices + growth[:, None] * (vertices - centre)
+    return vertices + growth[:, None] * (vertices - np.array([0, 0, 0.42]))
 
 
 def _candidates(k: int, rng) -> Iterable[Pose]:

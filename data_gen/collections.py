@@ -1,7 +1,6 @@
 """Collections of shapes: the synthetic cats, or any folder of meshes."""
 
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
-from data_gen.mesh_io import SUFFIXES, read_shape
+from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 
@@ -29,14 +28,8 @@ def load_collection(
         ``"cats"`` for the synthetic cats; a folder of meshes; the name of a folder inside the one that the environment
         variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
         TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
-    count
-        How many cats; like what follows, of the synthetic ones alone.
-    n_vertices
-        Vertices of each.
-    seed
-        Of the poses.
-    symmetric
-        Whether left and right are alike.
+    count, n_vertices, seed, symmetric
+        Of the synthetic cats alone, see :func:`data_gen.cats.cats`.
 
     Raises
     ------
@@ -52,8 +45,7 @@ def load_collection(
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
     if isinstance(source, str) and source == "cats":
         return cats(count=count, n_vertices=n_vertices, seed=seed, symmetric=symmetric)
-    files = collection_files(source)
-    return [read_shape(file) for file in files]
+    return [read_shape(file) for file in collection_files(source)]
 
 
 def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -65,21 +57,11 @@ def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
         where = os.environ.get("FMSYNC_DATA")
         looked = f"nor a folder of that name in FMSYNC_DATA={where}" if where else "and FMSYNC_DATA is not set"
         raise ValueError(f"{source}: neither 'cats' nor a folder, {looked}")
-    files = sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=_natural)
-    if not files:
-        raise ValueError(f"{folder}: no meshes in it; known are {', '.join(SUFFIXES)}")
-    stems = [file.stem for file in files]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            raise ValueError(f"{folder}: several files are called {stem}; give a list of the files you mean")
-    return files
+    return mesh_files([folder])
 
 
 def require_common_order(shapes: Sequence[Shape]) -> None:
-    """Refuse shapes that cannot share one vertex order.
-
-    Raises ``ValueError`` naming every shape whose vertex count differs from the first one's.
-    """
+    """Refuse shapes that cannot share one vertex order (ValueError that names them)."""
     expected = shapes[0].n_vertices
     different = [f"{shape.name} ({shape.n_vertices})" for shape in shapes if shape.n_vertices != expected]
     if different:
@@ -95,15 +77,8 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
     Line k of a file holds the vertex that corresponds to point k of the template, counted from one in ``.vts`` (as in
     the remeshed benchmarks of Ren et al. 2018) and from zero in ``.txt``.
 
-    Returns
-    -------
-    list[numpy.ndarray]
-        One (K,) array of vertex indices per shape.
-
-    Raises
-    ------
-    ValueError
-        A file is missing, is not a list of vertex numbers, points outside its shape, or has another length.
+    Returns one (K,) array of vertex indices for each shape; a file that is missing, is not a list of vertex numbers,
+    points outside its shape or has another length is a ValueError.
     """
     found = [_read_correspondence(Path(folder), shape) for shape in shapes]
     for shape, points in zip(shapes, found):
@@ -122,17 +97,10 @@ def correspondence_maps(
 
     Parameters
     ----------
-    shapes
-        N shapes of any vertex counts.
-    correspondences
-        N arrays (K,), the vertex of each shape for every point of the template (``load_correspondences``).
+    shapes, correspondences
+        N shapes of any vertex counts, and for each the vertices (K,) of all template points (``load_correspondences``).
     edges
-        (E, 2) pairs (i, j).
-
-    Returns
-    -------
-    dict
-        (i, j) to (V_i,) vertices of j.
+        (E, 2) pairs (i, j), which the result takes to the vertices (V_i,) of j.
 
     Examples
     --------
@@ -177,7 +145,3 @@ def _data_folder(name: str) -> Path | None:
         raise ValueError(f"FMSYNC_DATA={root}: there is no such folder; unset it to use the generated cats")
     folder = Path(root) / name
     return folder if folder.is_dir() else None
-
-
-def _natural(path: Path) -> list:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]

@@ -14,8 +14,6 @@ import numpy as np
 
 from fmsync.shape import Shape
 
-_TABLE = Path(__file__).with_name("fingerprints.json")
-
 
 def fingerprint(shape: Shape) -> dict[str, int | str]:
     """Counts and digests of one shape.
@@ -28,10 +26,11 @@ def fingerprint(shape: Shape) -> dict[str, int | str]:
     True
     """
     faces = np.empty((0, 3), dtype=np.int64) if shape.faces is None else shape.faces
+    scale = np.abs(shape.vertices).max()
     return {
         "vertices": shape.n_vertices,
         "faces": len(faces),
-        "positions": hashlib.sha256(_rounded(shape.vertices).tobytes()).hexdigest(),
+        "positions": hashlib.sha256(np.round(shape.vertices / scale * 1e6).astype("<i8").tobytes()).hexdigest(),
         "triangles": hashlib.sha256(_unoriented(faces).tobytes()).hexdigest(),
     }
 
@@ -57,7 +56,7 @@ def same_triangulation(first: Shape, second: Shape) -> str | None:
 
 def known_collections() -> Mapping[str, Mapping[str, Mapping[str, int | str]]]:
     """Collection name -> shape name -> fingerprint, for the collections whose fingerprints come with the project."""
-    return json.loads(_TABLE.read_text())
+    return json.loads(Path(__file__).with_name("fingerprints.json").read_text())
 
 
 def verify(shapes: Sequence[Shape], expected: Mapping[str, Mapping[str, int | str]]) -> dict[str, str]:
@@ -68,17 +67,10 @@ def verify(shapes: Sequence[Shape], expected: Mapping[str, Mapping[str, int | st
             verdicts[shape.name] = "not in the table"
             continue
         found, wanted = fingerprint(shape), expected[shape.name]
-        differs = [f"{key} {found[key]} instead of {wanted[key]}" for key in ("vertices", "faces")]
-        differs = [text for key, text in zip(("vertices", "faces"), differs) if found[key] != wanted[key]]
-        if not differs:
-            differs = [f"other {key}" for key in ("positions", "triangles") if found[key] != wanted[key]]
-        verdicts[shape.name] = ", ".join(differs) or "ok"
+        differs = [key for key in wanted if found[key] != wanted[key]]
+        counts = [f"{key} {found[key]} instead of {wanted[key]}" for key in differs if key in ("vertices", "faces")]
+        verdicts[shape.name] = ", ".join(counts or [f"other {key}" for key in differs]) or "ok"
     return verdicts
-
-
-def _rounded(vertices):
-    scale = np.abs(vertices).max()
-    return np.round(vertices / scale * 1e6).astype("<i8")
 
 
 def _unoriented(faces):

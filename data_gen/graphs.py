@@ -14,7 +14,7 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
     n_nodes
         Number of shapes N >= 2.
     density
-        Share of all pairs in (0, 1]; 1 is the complete graph.
+        Share of all pairs in (0, 1], at least 2 / N to connect them (ValueError); 1 is the complete graph.
     rng
         Seed or generator.
 
@@ -23,11 +23,6 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
     networkx.Graph
         Nodes 0..N-1; ``graph.graph["density"]`` holds the density asked for and ``graph.graph["achieved_density"]``
         the one that rounding left.
-
-    Raises
-    ------
-    ValueError
-        Density outside (0, 1], or too few edges to connect all nodes (names the least density that would do).
 
     Examples
     --------
@@ -49,10 +44,8 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
             f"ask for at least {least:.4g}"
         )
     rng = np.random.default_rng(rng)
-    graph = nx.empty_graph(n_nodes)
-    if n_edges == n_pairs:
-        graph = nx.complete_graph(n_nodes)
-    else:
+    graph = nx.complete_graph(n_nodes) if n_edges == n_pairs else nx.empty_graph(n_nodes)
+    if n_edges < n_pairs:
         chosen = {tuple(sorted(edge)) for edge in _random_tree(n_nodes, rng)}
         while len(chosen) < n_edges:
             for i, j in rng.integers(n_nodes, size=(2 * (n_edges - len(chosen)), 2)).tolist():

@@ -59,8 +59,8 @@ def langevin_angles(n: int, kappa: float, size: int, rng: np.random.Generator) -
 def _orthonormal_functions(n: int, kappa: float) -> tuple[np.ndarray, float, np.ndarray]:
     r"""Cell midpoints θ (G,), their width, and the first k polynomials in cos θ, orthonormal under the weight, (G, k).
 
-    The weight is :math:`e^{2\kappa\cos\theta}` dθ for even n and :math:`(1-\cos\theta)\,e^{2\kappa\cos\theta}` dθ for odd.
-    """  # noqa: E501
+    The weight is :math:`e^{2\kappa\cos\theta}` dθ, times :math:`1-\cos\theta` for odd n.
+    """
     k = n // 2
     # beyond this angle the weight, even against the polynomials' growth, is below rounding
     reach = np.pi if kappa == 0 else min(np.pi, np.arccos(max(-1.0, 1 - (40 + 6 * k) / (2 * kappa))))

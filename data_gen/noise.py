@@ -11,6 +11,13 @@ from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, so
 
+_VERSIONS = {
+    "fmsync": fmsync.__version__,
+    "numpy": np.__version__,
+    "scipy": scipy.__version__,
+    "python": platform.python_version(),
+}
+
 
 def perturb(
     truth: GroundTruth,
@@ -29,41 +36,24 @@ def perturb(
 
     Parameters
     ----------
-    truth
-        What to observe.
-    sigma2
-        Noise variance per entry, >= 0, of the two Gaussian families; at n = 20 the paper's noise makes maps nearly
-        random from 1 on.
+    sigma2, kappa
+        Noise variance per entry, >= 0, of the two Gaussian families (at n = 20 the paper's noise makes maps nearly
+        random from 1 on); in its place the concentration of the Langevin family.
     rng
         Seed or generator; either is recorded.
     noise
         ``"projected-gaussian"``: :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`, the paper's. ``"tangent-gaussian"``:
         :math:`C_{ij}\exp(\sigma\,\mathrm{skew}\,G)`, the same to first order. ``"langevin"``: :math:`C_{ij}Z` with
         density :math:`\propto\exp(\kappa\operatorname{tr}Z)`, exact draws. G has standard normal entries.
-    kappa
-        Concentration of the Langevin family, in place of ``sigma2``.
-    two_way
-        Observe (j, i) as well, with noise of its own.
-    repeats
-        Observations of every (directed) pair: a multigraph for more than one.
+    two_way, repeats
+        Observe (j, i) as well, and every (directed) pair so often, each with noise of its own.
     around
         ``"consistent"``: noise around C_i^T C_j; ``"measured"``: around the maps measured on the shapes, so that their
         model error is part of the problem.
-    outliers
-        Share of the observations in [0, 1) that is replaced: exactly ``round(outliers * E)`` of them.
-    outlier_kind
-        ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right mirrored map
-        :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
-
-    Returns
-    -------
-    SyncProblem
-        With a provenance record; ``provenance["outlier_edges"]`` lists the replaced ones.
-
-    Raises
-    ------
-    ValueError
-        Unknown names, a noise level that does not fit the family, flips without a mirror map.
+    outliers, outlier_kind
+        Share in [0, 1) of the observations that is replaced, exactly ``round(outliers * E)`` of them and listed in
+        ``provenance["outlier_edges"]``; ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right
+        mirrored map :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
 
     Examples
     --------
@@ -75,20 +65,9 @@ def perturb(
     [2, 3]
     """
     disturb = _family(noise, sigma2, kappa)
-    if around not in ("consistent", "measured"):
-        raise ValueError(f"around: 'consistent' or 'measured', not {around!r}")
-    if isinstance(repeats, bool) or int(repeats) != repeats or repeats < 1:
-        raise ValueError(f"repeats: need a whole number >= 1, got {repeats}")
-    if not 0 <= outliers < 1:
-        raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
-    if outlier_kind not in ("haar", "flip"):
-        raise ValueError(f"outlier_kind: 'haar' or 'flip', not {outlier_kind!r}")
-    if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
-        raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
-
+    _check(truth, around, repeats, outliers, outlier_kind)
     generator = np.random.default_rng(rng)
-    provenance = {
-        **truth.provenance,
+    record = {
         "noise": noise,
         "sigma2": None if sigma2 is None else float(sigma2),
         "kappa": None if kappa is None else float(kappa),
@@ -98,9 +77,8 @@ def perturb(
         "outliers": float(outliers),
         "outlier_kind": outlier_kind if outliers > 0 else None,
         "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
-        "versions": _versions(),
+        "versions": dict(_VERSIONS),
     }
-
     edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
     if two_way:
         edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
@@ -112,8 +90,21 @@ def perturb(
     maps = disturb(maps, generator)
     if outlier_kind == "haar":
         maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
-    provenance["outlier_edges"] = replaced.tolist()
-    return SyncProblem(truth.n_nodes, edges, maps, provenance=provenance)
+    record["outlier_edges"] = replaced.tolist()
+    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
+
+
+def _check(truth: GroundTruth, around: str, repeats: int, outliers: float, outlier_kind: str) -> None:
+    if around not in ("consistent", "measured"):
+        raise ValueError(f"around: 'consistent' or 'measured', not {around!r}")
+    if isinstance(repeats, bool) or int(repeats) != repeats or repeats < 1:
+        raise ValueError(f"repeats: need a whole number >= 1, got {repeats}")
+    if not 0 <= outliers < 1:
+        raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
+    if outlier_kind not in ("haar", "flip"):
+        raise ValueError(f"outlier_kind: 'haar' or 'flip', not {outlier_kind!r}")
+    if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
+        raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
 
 
 def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
@@ -134,12 +125,3 @@ def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
     if noise == "tangent-gaussian":
         return lambda maps, rng: maps @ so.exp(sigma * so.skew(rng.standard_normal(maps.shape)))
     return lambda maps, rng: so.project(maps + sigma * rng.standard_normal(maps.shape))
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "fmsync": fmsync.__version__,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "python": platform.python_version(),
-    }

@@ -1,10 +1,11 @@
 """What a collection is like as a source of problems: isometry, spectra, and what the sign trap does to its maps."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
-from data_gen.isometry import edge_distortion
+from data_gen.fingerprints import same_triangulation
 from data_gen.truth import fix_signs, measure_maps
 from fmsync import laplace_beltrami, so
 from fmsync.problem import cycle_error
@@ -14,16 +15,9 @@ from fmsync.shape import Basis, Shape
 def collection_report(
     shapes: Sequence[Shape], n_basis: int = 20, bases: Sequence[Basis] | None = None
 ) -> dict[str, object]:
-    """Measure a collection whose shapes share their triangulation; plain JSON values, nothing of the meshes.
+    """Measure N >= 3 shapes that share their triangulation; plain JSON values, nothing of the meshes.
 
-    Parameters
-    ----------
-    shapes
-        N >= 3 shapes.
-    n_basis
-        Number n of eigenfunctions.
-    bases
-        Bases computed before, at least n_basis functions each, signs as the solver gave them.
+    ``bases`` may hold bases computed before, of at least n = ``n_basis`` functions, signs as the solver gave them.
 
     Returns
     -------
@@ -48,16 +42,46 @@ def collection_report(
     raw = measure_maps(bases, pairs)
     fixed = measure_maps(fix_signs(bases), pairs)
     maps = {"raw": raw, "projected": so.project(raw), "signs fixed": so.project(fixed)}
-    determinants = np.linalg.det(fixed)
+    before, after = np.linalg.det(raw), np.linalg.det(fixed)
     return {
         "shapes": [shape.name for shape in shapes],
         "n_vertices": shapes[0].n_vertices,
-        "edge_distortion": edge_distortion(list(shapes)).round(5).tolist(),
+        "edge_distortion": edge_distortion(shapes).round(5).tolist(),
         "eigenvalues": np.stack([basis.eigenvalues for basis in bases]).round(4).tolist(),
         "cycle_error": {name: round(float(cycle_error(n_nodes, pairs, c).mean()), 4) for name, c in maps.items()},
-        "negative": {
-            "before": round(float((np.linalg.det(raw) < 0).mean()), 4),
-            "after": round(float((determinants < 0).mean()), 4),
-        },
-        "determinants": determinants.round(4).tolist(),
+        "negative": {when: round(float((c < 0).mean()), 4) for when, c in (("before", before), ("after", after))},
+        "determinants": after.round(4).tolist(),
     }
+
+
+def edge_distortion(shapes: Sequence[Shape]) -> np.ndarray:
+    """Mean \\|log edge-length ratio\\| of every pair of shapes, each scaled to unit area: 0 for isometric ones.
+
+    Returns
+    -------
+    numpy.ndarray
+        (N (N - 1) / 2,) in the order of ``itertools.combinations``, dimensionless.
+
+    Raises
+    ------
+    ValueError
+        The shapes differ in their triangles, whatever the orientation of these.
+
+    Examples
+    --------
+    >>> tent = Shape(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=[[0, 1, 2]], name="tent")
+    >>> edge_distortion([tent, tent])
+    array([0.])
+    """
+    for shape in shapes[1:]:
+        if same_triangulation(shapes[0], shape) is None:
+            raise ValueError(f"{shape.name} and {shapes[0].name} differ in their triangles: edges cannot be compared")
+    ends = edges(shapes[0].faces)
+    scaled = [shape.normalised().vertices for shape in shapes]
+    logs = [np.log(np.linalg.norm(v[ends[:, 0]] - v[ends[:, 1]], axis=1)) for v in scaled]
+    return np.array([np.abs(a - b).mean() for a, b in combinations(logs, 2)])
+
+
+def edges(faces: np.ndarray) -> np.ndarray:
+    """Undirected edges (E, 2) of faces (F, 3), each once, smaller vertex first."""
+    return np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -6,15 +6,10 @@ _VARIABLE = "FMSYNC_SEED_SHIFT"
 
 
 def seed(number: int) -> int:
-    """The seed of that number: ``number`` itself, or, in a test, ``number`` plus a constant.
+    """``number`` itself or, in a test, ``number`` plus a constant.
 
     What a chapter claims must not depend on its seeds. Tests run it with other ones: they set the environment variable
-    ``FMSYNC_SEED_SHIFT`` to an integer, which is added here, modulo :math:`2^{32}`.
-
-    Raises
-    ------
-    ValueError
-        ``FMSYNC_SEED_SHIFT`` is set and is not an integer.
+    ``FMSYNC_SEED_SHIFT`` to an integer (ValueError otherwise), which is added here, modulo :math:`2^{32}`.
 
     Examples
     --------

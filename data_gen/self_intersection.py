@@ -5,18 +5,9 @@ from scipy.spatial import cKDTree
 
 
 def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs of triangles that cut each other.
+    """Pairs of triangles (K, 2) of a mesh (V, 3), (F, 3) that cut each other.
 
-    Parameters
-    ----------
-    vertices, faces
-        (V, 3) and (F, 3).
-
-    Returns
-    -------
-    numpy.ndarray
-        (K, 2) indices of faces; pairs that share an edge are not tested, of pairs that share a vertex the edge
-        opposite to it is.
+    Pairs that share an edge are not tested; of pairs that share a vertex the edge opposite to it is.
 
     Examples
     --------

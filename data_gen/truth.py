@@ -31,8 +31,6 @@ class GroundTruth:
         (N, n, n) rotations with C_1 = I.
     edges
         (E, 2).
-    maps
-        (E, n, n) consistent relative maps C_i^T C_j.
     measured_maps
         (E, n, n) rotations nearest to the maps measured on the shapes after sign fixing; not exactly consistent. For a
         truth without shapes, equal to ``maps``.
@@ -64,7 +62,7 @@ class GroundTruth:
 
     @property
     def maps(self) -> np.ndarray:
-        """Consistent relative maps of the edges, (E, n, n)."""
+        """Consistent relative maps C_i^T C_j of the edges, (E, n, n)."""
         return self.relative(self.edges)
 
     def relative(self, edges: np.ndarray) -> np.ndarray:
@@ -90,27 +88,16 @@ def ground_truth(
         N shapes; vertex v of every shape is the same point of the body, unless ``point_maps`` says otherwise.
     graph
         Connected graph on nodes 0..N-1.
-    n_basis
-        Number n of Laplace–Beltrami eigenfunctions.
+    n_basis, bases
+        Number n of Laplace–Beltrami eigenfunctions, and bases computed before, of at least as many, to save time.
     tree
         ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
         least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the
         order of their numbers.
-    bases
-        Bases computed before, at least n_basis functions each, to save time.
     point_maps
         For every edge (i, j) the vertex of j for each vertex of i, (V_i,): for shapes without a common vertex order.
     flip
         (V,) the mirror image of every vertex of the first shape, where the collection has a left–right symmetry.
-
-    Returns
-    -------
-    GroundTruth
-
-    Raises
-    ------
-    ValueError
-        Unequal vertex counts where a common order is needed (names the shapes), wrong number of nodes, unknown tree.
 
     Examples
     --------
@@ -145,7 +132,10 @@ def ground_truth(
     }
     distortion = np.linalg.norm(raw - measured, axis=(1, 2))
     absolute = absolute_maps(len(shapes), edges, measured, tree=tree, distortion=distortion)
-    mirror = None if flip is None else _nearest_orthogonal(functional_map(bases[0], bases[0], flip))
+    mirror = None
+    if flip is not None:  # the nearest orthogonal map, of either determinant: odd functions may be odd in number
+        u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], flip))
+        mirror = u @ vt
     return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
 
 
@@ -153,10 +143,9 @@ def measure_maps(
     bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
 ) -> np.ndarray:
     """Raw functional maps (E, n, n) of the edges from the common vertex order, or from point maps; not projected."""
-    order = None if point_maps is not None else np.arange(len(bases[0].mass))
-    return np.stack(
-        [functional_map(bases[i], bases[j], order if point_maps is None else point_maps[i, j]) for i, j in edges]
-    )
+    order = np.arange(bases[0].n_vertices)
+    maps = [functional_map(bases[i], bases[j], order if point_maps is None else point_maps[i, j]) for i, j in edges]
+    return np.stack(maps)
 
 
 def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
@@ -168,20 +157,12 @@ def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.nd
 
     Without a common vertex order the shapes are reached along the edges that ``point_maps`` offers, breadth first.
     """
-    if point_maps is None:
-        pairs = [(0, i) for i in range(1, len(bases))]
-    else:
-        graph = nx.Graph(list(point_maps))
-        pairs = list(nx.bfs_edges(graph, 0))
+    offered = [(0, i) for i in range(1, len(bases))] if point_maps is None else list(point_maps)
     fixed = list(bases)
-    for known, new in pairs:
-        if point_maps is None or (known, new) in point_maps:
-            order = np.arange(len(bases[0].mass)) if point_maps is None else point_maps[known, new]
-            c = functional_map(fixed[known], fixed[new], order)
-        else:
-            c = functional_map(fixed[new], fixed[known], point_maps[new, known])
-        if np.linalg.det(c) < 0:
-            fixed[new] = fixed[new].with_flipped(c.shape[-1] - 1)
+    for known, new in nx.bfs_edges(nx.Graph(offered), 0) if len(bases) > 1 else ():
+        pair = (known, new) if point_maps is None or (known, new) in point_maps else (new, known)
+        if np.linalg.det(measure_maps(fixed, [pair], point_maps)[0]) < 0:
+            fixed[new] = fixed[new].with_flipped(bases[new].n - 1)
     return fixed
 
 
@@ -204,13 +185,10 @@ def absolute_maps(
         graph.add_edge(i, j, weight=0.0 if distortion is None else distortion[e])
     if tree == "minimum-distortion":
         graph = nx.minimum_spanning_tree(graph)
-    if tree == "depth-first":
-        steps = nx.dfs_edges(graph, 0, sort_neighbors=sorted)
-    else:
-        steps = nx.bfs_edges(graph, 0, sort_neighbors=sorted)
+    walk = nx.dfs_edges if tree == "depth-first" else nx.bfs_edges
     absolute = np.zeros((n_nodes, *maps.shape[1:]))
     absolute[0] = np.eye(maps.shape[-1])
-    for i, j in steps:
+    for i, j in walk(graph, 0, sort_neighbors=sorted):
         absolute[j] = absolute[i] @ lookup[i, j]
     return so.project(absolute)
 
@@ -218,7 +196,7 @@ def absolute_maps(
 def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
     """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
 
-    Scales to thousands of nodes: give a sparse graph. Its mirror map ``flip`` turns half of the functions around.
+    Scales to thousands of nodes: give a sparse graph. Its mirror map ``flip`` flips the sign of half of the functions.
 
     Examples
     --------
@@ -235,9 +213,3 @@ def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.r
     signs = np.where(np.arange(n) < 2 * (n // 4), -1.0, 1.0)  # an even number of odd functions: F is a rotation
     truth = GroundTruth(absolute, edges, np.empty(0), (), provenance, np.diag(signs))
     return replace(truth, measured_maps=truth.maps)
-
-
-def _nearest_orthogonal(a: np.ndarray) -> np.ndarray:
-    """Polar factor (n, n), of either determinant: mirroring turns odd functions around, and their number may be odd."""
-    u, _, vt = np.linalg.svd(a)
-    return u @ vt

@@ -22,7 +22,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         epilog="example:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
+    parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders")
     parser.add_argument(
         "-o", "--output", required=True, type=Path, metavar="OUT", help="folder that does not exist yet"
     )
@@ -31,7 +31,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="recalibration of the regions, from Recalibration.save (default: one fitted on synthetic cats)",
+        help="of the regions, from ConformalCalibration.save (default: one fitted on synthetic cats)",
     )
     parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
     parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")
@@ -48,11 +48,11 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.matching import Recalibration, synchronize_shapes
-    from fmsync.matching.doubts import doubts
+    from fmsync.matching import ConformalCalibration, synchronize_shapes
+    from fmsync.matching.conformal import default_calibration
     from fmsync.matching.output import write_all
-    from fmsync.matching.reading import mesh_files, read_mesh
-    from fmsync.matching.recalibration import shipped
+    from fmsync.matching.quality import quality_flags
+    from fmsync.mesh_io import mesh_files, read_shape
 
     output = options.output
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
@@ -61,15 +61,16 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"--draws: the confidence needs at least one draw, got {options.draws}")
     if not 0 < options.level < 1:
         raise ValueError(f"--level: a probability strictly between 0 and 1, got {options.level}")
-    recalibration = shipped() if options.calibration is None else Recalibration.load(options.calibration)
-    recalibration.scale(options.level)
-    shapes = [read_mesh(file) for file in mesh_files(options.meshes)]
-    landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+    chosen = options.calibration
+    calibration = default_calibration() if chosen is None else ConformalCalibration.load(chosen)
+    calibration.scale(options.level)
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     # Everything is written beside the folder and moved there when complete; finished pairs outlive an interruption.
     partial = output.with_name(output.name + ".partial")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        shapes = [read_shape(file, manifold=False) for file in mesh_files(options.meshes)]
+        landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
         try:
             synced = synchronize_shapes(
                 shapes,
@@ -90,21 +91,17 @@ def run(options: argparse.Namespace) -> int:
     folder = partial / "output"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    write_all(synced, folder, options.level, recalibration, progress=progress)
+    write_all(synced, folder, options.level, calibration, progress=progress)
     if output.is_dir():
         output.rmdir()
     os.replace(folder, output)
     shutil.rmtree(partial)
-    for line in dict.fromkeys([*doubts(synced), *_unsaid(caught)]):
+    # of other categories: a ConvergenceWarning is one of the flags, the rest is for programmers
+    said = [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
+    for line in dict.fromkeys([*quality_flags(synced), *said]):
         print(f"fmsync: warning: {line}", file=sys.stderr)
     print(f"{output}/report.html: open it in a browser; README.txt beside it says what the other files are")
     return 0
-
-
-def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
-    """Warnings that are not said in plain words already."""
-    # of other categories: a ConvergenceWarning is one of the doubts, the rest is for programmers
-    return [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
 
 
 def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:

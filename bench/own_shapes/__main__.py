@@ -9,7 +9,7 @@ The order serves for evaluation, never for maps. Each part is a command, and add
     errors on copies with triangulations and vertex counts of their own, without and with four landmarks
 ``... planted cats``
     coverage where the model is right
-``... refit cats uneven_cats --out fmsync/matching/recalibration.json``
+``... refit cats uneven_cats --out fmsync/matching/conformal.json``
     the calibration that the package ships
 
 A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths

@@ -9,14 +9,14 @@ from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pa
 from bench.own_shapes.stages import stages
 from data_gen import GroundTruth, perturb
 from fmsync.functional_maps import nearest_rows
-from fmsync.matching import Confidence, Recalibration, SyncedShapes, fit_recalibration
-from fmsync.matching.recalibration import shipped
-from fmsync.matching.synchronize import turns
+from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal
+from fmsync.matching.conformal import default_calibration
+from fmsync.matching.synchronize import basis_signs
 from fmsync.shape import Shape
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 RETAINED = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-_INDICATORS = ("radius", "entropy", "spread", "stretch", "distortion")  # what a confidence says of a vertex
+_INDICATORS = ("radius", "entropy", "spread", "local_distortion", "distortion")  # what a confidence says of a vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Observed:
     radii: dict[float, list[np.ndarray]]
     cheap: dict[str, list[np.ndarray]]
 
-    def covered(self, calibration: Recalibration | None = None) -> dict[str, float]:
+    def covered(self, calibration: ConformalCalibration | None = None) -> dict[str, float]:
         """Share of the true images inside the regions of every level: as they come, or calibrated."""
         found = {}
         for q in LEVELS:
@@ -45,13 +45,13 @@ class Observed:
 def collections(loaded: dict[str, list[Shape]], **options) -> dict:
     """Errors, coverage and risk–coverage curves of every collection, calibrated on each and as the package ships it."""
     observed = {name: observe(shapes, **options) for name, shapes in loaded.items()}
-    fitted = {name: fit_recalibration(o.known, o.errors, name) for name, o in observed.items()}
+    fitted = {name: fit_conformal(o.known, o.errors, name) for name, o in observed.items()}
     found = {}
     for k, (name, o) in enumerate(observed.items()):
         coverage = {"as it comes": o.covered()}
         coverage |= {f"recalibrated on {other}": o.covered(r) for other, r in fitted.items()}
-        coverage["as shipped"] = o.covered(shipped())
-        elsewhere = next((r for other, r in fitted.items() if other != name), shipped())
+        coverage["as shipped"] = o.covered(default_calibration())
+        elsewhere = next((r for other, r in fitted.items() if other != name), default_calibration())
         found[name] = stages(o.synced, o.evaluation, peers=k == 0) | {  # peers take most of the time
             "coverage": coverage,
             "selective": risk_coverage(o, elsewhere),
@@ -59,12 +59,12 @@ def collections(loaded: dict[str, list[Shape]], **options) -> dict:
     return found
 
 
-def refit(loaded: dict[str, list[Shape]], **options) -> Recalibration:
+def refit(loaded: dict[str, list[Shape]], **options) -> ConformalCalibration:
     """Calibration from all collections together."""
     observed = [observe(shapes, **options) for shapes in loaded.values()]
     known, errors = [k for o in observed for k in o.known], [e for o in observed for e in o.errors]
     words = " and ".join(f"{len(x)} {n.replace('_', ' ')}" for n, x in loaded.items())
-    return fit_recalibration(known, errors, words.replace("cats", "synthetic cats"))
+    return fit_conformal(known, errors, words.replace("cats", "synthetic cats"))
 
 
 def observe(shapes: list[Shape], **options) -> Observed:
@@ -103,7 +103,7 @@ def cycle_errors(synced: SyncedShapes) -> np.ndarray:
     return np.where(known.any(axis=2), np.where(known, gaps, 0).sum(axis=2) / np.maximum(known.sum(axis=2), 1), np.inf)
 
 
-def risk_coverage(o: Observed, calibration: Recalibration) -> dict:
+def risk_coverage(o: Observed, calibration: ConformalCalibration) -> dict:
     """Mean errors, relative to all, of the vertices retained when the least certain are dropped: curves and areas."""
     errors = np.concatenate(o.errors)
     scores = {"expected error": [calibration.expected(k) for k in o.known]}
@@ -146,7 +146,7 @@ def planted(loaded: dict[str, list[Shape]]) -> dict:
 def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int = 2) -> dict[str, dict[str, float]]:
     """Share of samples whose image under the true map lies in its region, by concentration and level."""
     truth = GroundTruth(synced.estimate.absolute, synced.edges, np.empty(0))
-    turn, found = turns(synced.signs, truth.n)[:, None], {}
+    turn, found = basis_signs(synced.signs, truth.n)[:, None], {}
     true = truth.absolute * turn  # in the bases of the shapes
     options = {"kappa": "auto", "n_draws": 250, "warmup": 300, "thin": 4}
     for kappa in kappas:

@@ -8,7 +8,7 @@ import fmsync
 from bench.problems import geodesics_from
 from data_gen import load_collection
 from fmsync.functional_maps import nearest_rows
-from fmsync.matching.confidence import spread_out
+from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Shape
 
@@ -42,7 +42,7 @@ class Evaluation:
 
     def at(self, i: int, values: np.ndarray) -> np.ndarray:
         """Values at the samples of shape i carried to the evaluation vertices."""
-        return spread_out(self.shapes[i], values)[self.vertices[i]]
+        return samples_to_vertices(self.shapes[i], values)[self.vertices[i]]
 
 
 def collection(name: str) -> list[Shape]:

@@ -52,7 +52,7 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
 
     def synchronised(matches):
         estimate, signs, _, problem = synchronize.robust_maps(len(shapes), edges, matches, n, rng)
-        turn = synchronize.turns(signs, n)[:, None]
+        turn = synchronize.basis_signs(signs, n)[:, None]
         return estimate.absolute * turn, problem, turn
 
     def relative(absolute) -> Callable:

@@ -5,7 +5,7 @@ from fmsync.extras import require_all
 require_all(__name__, "shapes", "joblib", "pandas", "potpourri3d", "pyvista", "robust_laplacian")
 
 from fmsync.matching.confidence import Confidence  # noqa: E402
-from fmsync.matching.recalibration import Recalibration, fit_recalibration  # noqa: E402
+from fmsync.matching.conformal import ConformalCalibration, fit_conformal  # noqa: E402
 from fmsync.matching.synchronize import SyncedShapes, synchronize_shapes  # noqa: E402
 
-__all__ = ["Confidence", "Recalibration", "SyncedShapes", "fit_recalibration", "synchronize_shapes"]
+__all__ = ["Confidence", "ConformalCalibration", "SyncedShapes", "fit_conformal", "synchronize_shapes"]

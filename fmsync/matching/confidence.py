@@ -1,4 +1,4 @@
-"""Where a vertex goes and how sure that is: images under posterior draws, and under the evidence of other shapes."""
+"""Where a vertex goes and how sure that is: images under posterior draws, and under the maps of other shapes."""
 
 from dataclasses import dataclass
 
@@ -12,21 +12,21 @@ from fmsync.threads import single_threaded_blas
 _NEAR = 0.05  # square roots of the area: images this near to each other count as one place
 _FAR = 0.12  # two places this far apart are two modes
 _SHARE = 0.2  # and both hold this share of the votes
-_NEIGHBOURS, _AROUND = 8, 0.15  # samples by which stretch is told, and square roots of the area it is averaged over
+_NEIGHBOURS, _AROUND = (
+    8,
+    0.15,
+)  # samples by which local distortion is told, and square roots of the area it is averaged over
 
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
-    """What is known of the images on shape j of the samples of shape i; lengths in square roots of the area.
+    """What is known of the images on shape j of the S samples of shape i; lengths in square roots of the area.
 
     Nothing here has seen a truth. Radius and entropy come from the posterior, spread from the observed maps: how far
-    maps contradict each other. Stretch and distortion are signs of errors that all maps share. :meth:`evidence` is
-    what the signs say together.
+    maps contradict each other. The two distortions are indicators of errors that all maps share.
 
     Attributes
     ----------
-    mode
-        (S,) sample of j hit most often, after merging near ones.
     image
         (S,) sample of j under the synchronised map: the centre of the region.
     radius
@@ -39,29 +39,28 @@ class Confidence:
         (S,) whether two distant places both hold a fifth of the votes of the maps through other shapes.
     level
         Of the region, in (0, 1).
-    stretch
+    local_distortion
         (S,) mean relative change of the distances to the nearest samples, averaged over the neighbourhood: where the
         map tears, folds or slides; a pure number.
     distortion
         (S,) mean change of the geodesic distances to all other samples: wrong maps, shapes that are not isometric.
     """
 
-    mode: np.ndarray
     image: np.ndarray
     radius: np.ndarray
     spread: np.ndarray
     entropy: np.ndarray
     two_modes: np.ndarray
     level: float
-    stretch: np.ndarray
+    local_distortion: np.ndarray
     distortion: np.ndarray
 
-    def evidence(self) -> np.ndarray:
-        """(S,) larger where errors are likely: stretch times the square root of the pair's mean distortion.
+    def uncertainty_score(self) -> np.ndarray:
+        """(S,) larger where errors are likely: local distortion times the root of the pair's mean distortion.
 
-        Stretch ranks the vertices of a pair; distortion makes pairs and collections comparable.
+        The first ranks the vertices of a pair; the second makes pairs and collections comparable.
         """
-        return self.stretch * np.sqrt(self.distortion.mean())
+        return self.local_distortion * np.sqrt(self.distortion.mean())
 
 
 def confidence(
@@ -71,22 +70,18 @@ def confidence(
     vertex: np.ndarray,
     draws: np.ndarray,
     votes: np.ndarray,
-    level: float = 0.9,
+    level: float,
 ) -> Confidence:
-    """Confidence of the samples of shape i from draws (T, n, n) of C_ij and votes.
+    """Confidence of the samples of shape i = ``first`` on shape j = ``second``.
 
     Parameters
     ----------
-    first, second
-        Shapes i and j.
     image, vertex
         (S_i,) samples of j, and vertices of j, where the synchronised map sends the samples of i.
     draws
         (T, n, n) posterior draws of C_ij.
     votes
         (W, S_i) samples of j according to the observed map and to compositions of two observed maps.
-    level
-        Probability that the region holds.
     """
     n, g = draws.shape[-1], second.geodesics
     at_i, at_j = first.sampled()[:, :n], second.sampled()[:, :n]
@@ -95,16 +90,14 @@ def confidence(
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)
-    away = g[hits, image]  # (T, S_i)
     return Confidence(
-        mode=(share @ (g <= _NEAR)).argmax(axis=1),
         image=image,
-        radius=np.quantile(away, level, axis=0),
+        radius=np.quantile(g[hits, image], level, axis=0),
         spread=g[votes, image].mean(axis=0),
         entropy=-(share * np.log(np.where(share > 0, share, 1))).sum(axis=1),
         two_modes=two_modes(votes, g),
         level=level,
-        stretch=_stretch(first, second.shape.vertices[vertex]),
+        local_distortion=local_distortion(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
     )
 
@@ -120,7 +113,7 @@ def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> np.ndarray:
     return (second >= _SHARE) & (support[best, columns] >= _SHARE)
 
 
-def spread_out(first: SampledShape, values: np.ndarray) -> np.ndarray:
+def samples_to_vertices(first: SampledShape, values: np.ndarray) -> np.ndarray:
     """Values (S,) at samples carried to all vertices (V,) by the three nearest samples."""
     points = first.shape.vertices
     distance, nearest = cKDTree(points[first.samples]).query(points, k=min(3, len(first.samples)))
@@ -128,7 +121,7 @@ def spread_out(first: SampledShape, values: np.ndarray) -> np.ndarray:
     return (weights * values[nearest]).sum(axis=1) / weights.sum(axis=1)
 
 
-def _stretch(first: SampledShape, images: np.ndarray) -> np.ndarray:
+def local_distortion(first: SampledShape, images: np.ndarray) -> np.ndarray:
     """Mean relative change of the distances of samples to the nearest ones, given their images (S, 3); smoothed.
 
     Straight-line distances between vertices: neighbours are near, and images among samples would be too coarse.

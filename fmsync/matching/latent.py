@@ -30,12 +30,7 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
     :math:`\sum d_i Y_i^\top Y_i = \bar d N I`, by eigenvectors. Weights fall with the distance of a map from orthogonal
     ones, :math:`1/\lVert C^\top C - I\rVert^2`, and d sums them at every shape.
 
-    Parameters
-    ----------
-    n_shapes
-        Number of shapes N.
-    edges, maps
-        (E, 2) pairs of a connected graph and (E, k, k) maps from j to i.
+    The graph of the ``edges`` (E, 2) must be connected.
 
     Examples
     --------
@@ -90,14 +85,11 @@ def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray
             maps = np.empty((len(edges), size, size))
             for e, (i, j) in enumerate(edges):
                 there, again = nearest_rows(values[i], values[j]), nearest_rows(values[j], values[i])
-                maps[e] = _nearer_to_orthogonal(back[i] @ at[j][there], (back[j] @ at[i][again]).T)
+                both = back[i] @ at[j][there], (back[j] @ at[i][again]).T
+                maps[e] = min(both, key=lambda c: np.linalg.norm(c.T @ c - np.eye(size)))
             latent = latent_maps(len(shapes), edges, maps)
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
-
-
-def _nearer_to_orthogonal(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return min(a, b, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))
 
 
 def sizes(k: int, size: int) -> list[int]:

@@ -8,9 +8,9 @@ import pandas as pd
 from tqdm import tqdm
 
 from fmsync.extras import require
-from fmsync.matching.confidence import Confidence, spread_out
-from fmsync.matching.doubts import doubts
-from fmsync.matching.recalibration import Recalibration, shipped
+from fmsync.matching.confidence import Confidence, samples_to_vertices
+from fmsync.matching.conformal import ConformalCalibration
+from fmsync.matching.quality import quality_flags
 from fmsync.matching.report import report
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.shape import Shape
@@ -22,31 +22,23 @@ maps.npz            refined (N, M, m) to shared functions: C_ij = refined[i].T @
 point_maps/*.npy    NAME_to_{reference}.npy: for each vertex of NAME its vertex of {reference}
 point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
 meshes/*.vtp, *.ply every shape with these numbers on its vertices, for ParaView and MeshLab
-edges.csv           every pair: how well distances and orientation are kept, how far the edge was believed
+edges.csv           every pair: how well distances and orientation are kept, its inlier weight
 
 Lengths are in units of the square root of a shape's surface area.
 region      radius about the image that should hold the truth with probability {level:.0%}; learnt from: {fitted_on}.
 expected    the error to be expected of the image: what to rank vertices by. Drop the largest first.
 radius      radius that holds {level:.0%} of the posterior draws: the noise of the maps alone, smaller than region.
-spread      mean distance to where detours through other shapes lead.
+spread      mean distance to where maps through other shapes lead.
 two_modes   two distant places have support, as on a left-right symmetric body.
 Any other pair: fmsync.synchronize_shapes(...).point_map(i, j).
-{doubts}"""
+{flags}"""
 
 
 def write_all(
-    synced: SyncedShapes,
-    folder: Path,
-    level: float = 0.9,
-    recalibration: Recalibration | None = None,
-    progress: bool = False,
+    synced: SyncedShapes, folder: Path, level: float, calibration: ConformalCalibration, progress: bool = False
 ) -> None:
-    """Write every file into an existing empty folder; point maps lead to the first shape, the report shows all pairs.
-
-    ``recalibration`` is :func:`fmsync.matching.recalibration.shipped` if left out.
-    """
+    """Write every file into an empty folder; point maps lead to the first shape, the report shows all pairs."""
     reference, names = 0, synced.names
-    recalibration = shipped() if recalibration is None else recalibration
     for part in ("point_maps", "meshes"):
         (folder / part).mkdir()
     pairs = list(itertools.permutations(range(len(names)), 2))
@@ -55,10 +47,10 @@ def write_all(
     for i, name in enumerate(names):
         if i == reference:
             continue
-        tables[i] = vertex_table(synced, i, reference, known[i, reference], recalibration)
+        tables[i] = _vertex_table(synced, i, reference, known[i, reference], calibration)
         stem = folder / "point_maps" / f"{name}_to_{names[reference]}"
-        np.save(stem.with_name(stem.name + ".npy"), tables[i]["image"].to_numpy())
-        tables[i].to_csv(stem.with_name(stem.name + ".csv"), index_label="vertex", float_format="%.5g")
+        np.save(f"{stem}.npy", tables[i]["image"].to_numpy())
+        tables[i].to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
@@ -71,36 +63,35 @@ def write_all(
         signs=synced.signs,
         names=names,
     )
-    edges = edge_table(synced)
+    edges = _edge_table(synced)
     edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
-    words = "".join(f"\nDOUBT: {line}\n" for line in doubts(synced))
-    text = _README.format(reference=names[reference], level=level, fitted_on=recalibration.fitted_on, doubts=words)
+    flags = "".join(f"\nWARNING: {line}\n" for line in quality_flags(synced))
+    text = _README.format(reference=names[reference], level=level, fitted_on=calibration.fitted_on, flags=flags)
     (folder / "README.txt").write_text(text, encoding="utf-8")
-    (folder / "report.html").write_text(report(synced, known, edges, recalibration, level), encoding="utf-8")
+    (folder / "report.html").write_text(report(synced, known, edges, calibration, level), encoding="utf-8")
 
 
-def vertex_table(synced: SyncedShapes, i: int, j: int, known: Confidence, recalibration: Recalibration) -> pd.DataFrame:
+def _vertex_table(
+    synced: SyncedShapes, i: int, j: int, known: Confidence, calibration: ConformalCalibration
+) -> pd.DataFrame:
     """Image on shape j and confidence of every vertex of shape i."""
-    shape = synced.shapes[i]
-    return pd.DataFrame(
-        {
-            "image": synced.point_map(i, j),
-            "region": spread_out(shape, recalibration.radius(known)),
-            "expected": spread_out(shape, recalibration.expected(known)),
-            "radius": spread_out(shape, known.radius),
-            "spread": spread_out(shape, known.spread),
-            "entropy": spread_out(shape, known.entropy),
-            "two_modes": spread_out(shape, known.two_modes.astype(float)) > 0.5,
-        }
-    )
+    at_samples = {
+        "region": calibration.radius(known),
+        "expected": calibration.expected(known),
+        "radius": known.radius,
+        "spread": known.spread,
+        "entropy": known.entropy,
+        "two_modes": known.two_modes.astype(float),
+    }
+    everywhere = {name: samples_to_vertices(synced.shapes[i], values) for name, values in at_samples.items()}
+    everywhere["two_modes"] = everywhere["two_modes"] > 0.5
+    return pd.DataFrame({"image": synced.point_map(i, j)} | everywhere)
 
 
-def edge_table(synced: SyncedShapes) -> pd.DataFrame:
+def _edge_table(synced: SyncedShapes) -> pd.DataFrame:
     """Consistency of every pair."""
     weights = synced.estimate.edge_weights
     names = np.array(synced.names)
-    disagree = np.zeros(len(synced.edges), dtype=bool)
-    disagree[synced.violating] = True
     return pd.DataFrame(
         {
             "first": names[synced.edges[:, 0]],
@@ -108,41 +99,27 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
             "distortion": [m.distortion for m in synced.matches],
             "orientation": [m.orientation for m in synced.matches],
             "residual": np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2)),
-            "believed": np.ones(len(names[synced.edges])) if weights is None else weights,
-            "sign_disagrees": disagree,
+            "inlier_weight": np.ones(len(synced.edges)) if weights is None else weights,
+            "sign_disagrees": np.isin(np.arange(len(synced.edges)), synced.violating),
         }
     )
 
 
 def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:
+    """VTP with all columns, and binary PLY with some; MeshLab colours by ``quality``, which is the region."""
     pv = require("pyvista", "shapes")
-    if shape.faces is None:
-        mesh = pv.PolyData(shape.vertices)
-    else:
-        mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
+    faces = np.empty((0, 3), int) if shape.faces is None else shape.faces
+    mesh = pv.PolyData.from_regular_faces(shape.vertices, faces) if len(faces) else pv.PolyData(shape.vertices)
+    columns = dict(zip("xyz", shape.vertices.T))
     if table is not None:
         for column in table:
             mesh.point_data[column] = table[column].to_numpy().astype(np.float32)
-    mesh.save(stem.with_name(stem.name + ".vtp"))
-    _write_ply(stem.with_name(stem.name + ".ply"), shape, table)
-
-
-def _write_ply(path: Path, shape: Shape, table: pd.DataFrame | None) -> None:
-    """Binary PLY with the scalars as vertex properties; MeshLab colours by ``quality``, which is the region."""
-    fields = [(axis, "<f4") for axis in "xyz"] + ([] if table is None else [("quality", "<f4"), ("spread", "<f4")])
-    rows = np.empty(shape.n_vertices, dtype=fields)
-    for k, axis in enumerate("xyz"):
-        rows[axis] = shape.vertices[:, k]
-    if table is not None:
-        rows["quality"], rows["spread"] = table["region"], table["spread"]
-    n_faces = 0 if shape.faces is None else len(shape.faces)
+        columns |= {"quality": table["region"], "spread": table["spread"]}
+    mesh.save(f"{stem}.vtp")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {shape.n_vertices}"]
-    header += [f"property float {name}" for name, _ in fields]
-    header += [f"element face {n_faces}", "property list uchar int vertex_indices", "end_header\n"]
-    with path.open("wb") as stream:
-        stream.write("\n".join(header).encode())
-        stream.write(rows.tobytes())
-        if n_faces:
-            corners = np.empty(n_faces, dtype=[("count", "u1"), ("corners", "<i4", 3)])
-            corners["count"], corners["corners"] = 3, shape.faces
-            stream.write(corners.tobytes())
+    header += [f"property float {name}" for name in columns]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
+    corners = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    corners["count"], corners["corners"] = 3, faces
+    rows = np.column_stack(list(columns.values())).astype("<f4")
+    Path(f"{stem}.ply").write_bytes("\n".join(header).encode() + rows.tobytes() + corners.tobytes())

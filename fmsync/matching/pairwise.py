@@ -50,7 +50,7 @@ class PairMatch:
 
 
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
-    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``, judged."""
+    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
     with single_threaded_blas():
         top = min(FINE, first.basis.n, second.basis.n)
         rough = min(_ROUGH, top)
@@ -58,23 +58,21 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         starts = [signs[:, :, None] * np.eye(signs.shape[1]), _fitted(first, second, rough)[None]]
         upsampled = [zoomout(first, second, start, rough, 2, _ROUGH_SAMPLES) for start in starts]
         maps, images = (np.concatenate(part) for part in zip(*upsampled))
-        distortion, orientation, missed = quality(first, second, maps, images)
+        distortion, orientation, missed = map_scores(first, second, maps, images)
         best = np.argsort(distortion - _ORIENTED * orientation + missed, kind="stable")[:_SURVIVORS]
         maps, images = zoomout(first, second, maps[best], top, 6, _SAMPLES)
-        distortion, orientation, missed = quality(first, second, maps, images)
+        distortion, orientation, missed = map_scores(first, second, maps, images)
     k = int(np.argmin(distortion - _ORIENTED * orientation + missed))
-    turned = distortion[orientation < 0]
-    return PairMatch(
-        maps[k], float(distortion[k]), float(orientation[k]), float(turned.min()) if len(turned) else np.inf
-    )
+    mirrored = distortion[orientation < 0].min(initial=np.inf)
+    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored))
 
 
 def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray) -> PairMatch:
-    """A proposed map upsampled and judged like the candidates of :func:`match`."""
+    """A proposed map, upsampled and scored like the candidates of :func:`match`."""
     with single_threaded_blas():
         top = min(FINE, first.basis.n, second.basis.n)
         maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES)
-        distortion, orientation, _ = quality(first, second, maps, images)
+        distortion, orientation, _ = map_scores(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
 
 
@@ -96,7 +94,7 @@ def zoomout(
         maps = np.linalg.pinv(at_i[:, :k]) @ at_j[images][..., :k]
 
 
-def quality(
+def map_scores(
     first: SampledShape, second: SampledShape, maps: np.ndarray, images: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Geodesic distortion, orientation and distance of landmarks from their images, each (R,), of (R, k, k) maps."""

@@ -10,76 +10,33 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from fmsync.colours import colours_from_coordinates
-from fmsync.extras import require
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import Confidence
-from fmsync.matching.doubts import doubts
-from fmsync.matching.recalibration import Recalibration
-from fmsync.matching.samples import SampledShape
+from fmsync.matching.conformal import ConformalCalibration
+from fmsync.matching.quality import quality_flags
+from fmsync.matching.samples import SampledShape, decimated
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
 _VIEWER = Path(__file__).with_name("viewer.js")
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>Correspondences of {count} shapes</title>
-<style>
-:root {{ color-scheme: light dark; --line: #ddd; --doubt: #fdf1f0; --pink: #b3147f }}
-@media (prefers-color-scheme: dark) {{ :root {{ --line: #444; --doubt: #3a1f1d; --pink: #ff7ccb }} }}
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
-  color: light-dark(#1a1a1a, #e6e6e6); background: light-dark(#fff, #16181c) }}
-table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
-td, th {{ padding: .15rem .7rem; text-align: right; border-bottom: 1px solid var(--line) }}
-td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) {{ text-align: left }}
-.doubts {{ border-left: .3rem solid #b3261e; padding: .1rem 1rem .1rem 2rem; background: var(--doubt) }}
-.wide {{ overflow-x: auto }} .stage {{ display: flex; flex-wrap: wrap; gap: 1rem }}
-figure {{ margin: 0; flex: 1 1 17rem; max-width: 24rem }} canvas {{ width: 100%; touch-action: pan-y; cursor: grab }}
-figcaption, label {{ font-size: .9rem }} select {{ font: inherit }}
-.bar {{ display: inline-block; width: 7rem; height: .7rem; background: linear-gradient(90deg, {ramp}) }}
-</style></head><body>
-<h1>Correspondences of {count} shapes</h1>
-{doubts}
-{summary}
-<h2>Any pair</h2>
-<p><label>Map <select id="from"></select></label> <label>to <select id="to"></select></label> Drag to turn.</p>
-<div class="stage">
-<figure><canvas id="target" width="480" height="480" role="img" aria-label="Target shape, coloured by place"></canvas>
-<figcaption>Target, every place with its own colour</figcaption></figure>
-<figure><canvas id="carried" width="480" height="480" role="img" aria-label="Source shape, colours carried"></canvas>
-<figcaption>Source, every vertex with the colour of its image</figcaption></figure>
-<figure><canvas id="unsure" width="480" height="480" role="img" aria-label="Source shape, by uncertainty"></canvas>
-<figcaption>Source, radius of the {level:.0%} region, √area: 0 <span class="bar"></span>
-{top:.2f}; <b style="color: var(--pink)">pink</b>: two candidate places</figcaption></figure>
-</div>
-<p id="words"></p>
-<h2>Every pair that was matched</h2>
-<p>Distortion: mean change of geodesic distances. Orientation: 1 keeps left and right, -1 swaps them. Residual: distance
-of the pair's own map from the synchronised one. Believed: how far the pair counted in the robust synchronisation. Sign
-disagrees: it contradicts the left and right of the others.</p>
-<div class="wide">{edges}</div>
-<script type="application/json" id="data">{data}</script>
-<script>{viewer}</script>
-</body></html>
-"""
+_PAGE = Path(__file__).with_name("report.html")
+Pairs = dict[tuple[int, int], Confidence]
+Radii = dict[tuple[int, int], np.ndarray]
 _RAMP = np.array([[0.94, 0.93, 0.86], [0.96, 0.73, 0.36], [0.82, 0.30, 0.24], [0.29, 0.05, 0.28]])
 
 
 def report(
-    synced: SyncedShapes,
-    known: dict[tuple[int, int], Confidence],
-    edges: pd.DataFrame,
-    recalibration: Recalibration,
-    level: float,
+    synced: SyncedShapes, known: Pairs, edges: pd.DataFrame, calibration: ConformalCalibration, level: float
 ) -> str:
     """HTML of the report; ``known`` holds the confidence of every ordered pair."""
-    radii = {pair: recalibration.radius(k, level) for pair, k in known.items()}
+    radii = {pair: calibration.radius(k, level) for pair, k in known.items()}
     top = float(np.quantile(np.concatenate(list(radii.values())), 0.98))
     ramp = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*(255 * colour)) for colour in _RAMP)
-    return _PAGE.format(
+    return _PAGE.read_text(encoding="utf-8").format(
         count=len(synced.shapes),
-        doubts=_list(doubts(synced), "doubts"),
-        summary=_list(_summary(synced, known, radii, edges, recalibration, level)),
+        flags=_list(quality_flags(synced), "flags"),
+        summary=_list(_summary(synced, known, radii, edges, calibration, level)),
         level=level,
         top=top,
         ramp=ramp,
@@ -91,28 +48,16 @@ def report(
     )
 
 
-def _data(
-    synced: SyncedShapes,
-    known: dict[tuple[int, int], Confidence],
-    radii: dict[tuple[int, int], np.ndarray],
-    edges: pd.DataFrame,
-    top: float,
-) -> dict[str, object]:
+def _data(synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
     drawn = [_drawn(s) for s in synced.shapes]
     shapes, pairs = [], {}
     for s, (vertices, faces) in zip(synced.shapes, drawn):
         points = s.shape.vertices[vertices] - s.shape.vertices.mean(axis=0)
-        points = points / np.linalg.norm(points, axis=1).max()
-        colours = colours_from_coordinates(s.shape.vertices[vertices])
-        shapes.append(
-            {
-                "name": s.shape.name,
-                "points": _packed(32000 * points, "<i2"),
-                "faces": _packed(faces, "<u2"),
-                "colours": _packed(255 * np.asarray(colours)[:, :3], "u1"),
-            }
-        )
+        points = _packed(32000 * (points / np.linalg.norm(points, axis=1).max()), "<i2")
+        colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
+        drawing = {"points": points, "faces": _packed(faces, "<u2"), "colours": colours}
+        shapes.append({"name": s.shape.name} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
     for (i, j), k in known.items():
         first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]
@@ -136,9 +81,8 @@ def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:
         return np.linspace(0, shape.n_vertices - 1, min(_DRAWN, shape.n_vertices)).astype(int), np.empty((0, 3), int)
     if shape.n_vertices <= _DRAWN:
         return np.arange(shape.n_vertices), shape.faces
-    pv = require("pyvista", "shapes")
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces).decimate(1 - _DRAWN / shape.n_vertices)
-    return cKDTree(shape.vertices).query(np.asarray(mesh.points, dtype=float))[1], mesh.regular_faces
+    vertices, faces = decimated(shape, _DRAWN)
+    return cKDTree(shape.vertices).query(vertices)[1], faces
 
 
 def _packed(values: np.ndarray, kind: str) -> str:
@@ -152,26 +96,24 @@ def _list(lines: list[str], kind: str = "") -> str:
 
 def _summary(
     synced: SyncedShapes,
-    known: dict[tuple[int, int], Confidence],
-    radii: dict[tuple[int, int], np.ndarray],
+    known: Pairs,
+    radii: Radii,
     edges: pd.DataFrame,
-    recalibration: Recalibration,
+    calibration: ConformalCalibration,
     level: float,
 ) -> list[str]:
     every = np.concatenate(list(radii.values()))
     double = float(np.mean([k.two_modes.mean() for k in known.values()]))
-    doubted = edges[edges["believed"] < 0.5]
-    unsure = [
-        np.median([np.median(r) for (i, j), r in radii.items() if k in (i, j)]) for k in range(len(synced.shapes))
-    ]
-    given_up = ": " + ", ".join(f"{a}–{b}" for a, b in zip(doubted["first"], doubted["second"])) if len(doubted) else ""
+    dropped = edges[edges["inlier_weight"] < 0.5]
+    named = ": " + ", ".join(f"{a}–{b}" for a, b in zip(dropped["first"], dropped["second"])) if len(dropped) else ""
+    unsure = [np.median([np.median(r) for pair, r in radii.items() if k in pair]) for k in range(len(synced.shapes))]
     return [
         f"{len(synced.shapes)} shapes were matched in {len(edges)} pairs from their geometry alone.",
         f"Half of all vertices have a {level:.0%} region of radius below {np.median(every):.3f}, nine in ten below "
         f"{np.quantile(every, 0.9):.3f} (a whole shape has area 1).",
-        f"How large a region must be was learnt from: {recalibration.fitted_on}. Shapes of another kind may need their "
-        "own recalibration.",
+        f"How large a region must be was learnt from: {calibration.fitted_on}. Shapes of another kind may need their "
+        "own calibration.",
         f"{double:.1%} of the vertices have two candidate places, usually the left and the right of a symmetric part.",
-        f"{len(doubted) or 'No'} pairs were given up because the others contradict them{given_up}.",
+        f"{len(dropped) or 'No'} pairs were given up because the others contradict them{named}.",
         f"Least certain of all shapes: {synced.names[int(np.argmax(unsure))]}.",
     ]

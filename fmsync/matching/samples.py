@@ -1,6 +1,6 @@
 """What the pipeline needs to know of one shape: a basis, evenly spread samples, and what tells left from right."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import potpourri3d as pp3d
@@ -58,40 +58,29 @@ class SampledShape:
         Thousands of vertices become hundreds, so that other processes and machines are sent little.
         """
         own, n = self.samples, min(n_basis, self.basis.n)
-        shape = Shape(self.shape.vertices[own], None, self.shape.name)
-        basis = Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own])
-        return SampledShape(
-            shape,
-            basis,
-            np.arange(len(own)),
-            self.geodesics,
-            self.descriptors[own],
-            self.coefficients[:n],
-            self.orientation,
-            self.n_landmarks,
+        return replace(
+            self,
+            shape=Shape(self.shape.vertices[own], None, self.shape.name),
+            basis=Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own]),
+            samples=np.arange(len(own)),
+            descriptors=self.descriptors[own],
+            coefficients=self.coefficients[:n],
         )
 
 
 def sample_shape(
     shape: Shape, n_basis: int, n_samples: int, n_oriented: int = 20, landmarks: np.ndarray | None = None
 ) -> SampledShape:
-    """Basis, samples, geodesics, descriptors and orientation operators of a shape of any scale.
+    """A mesh or point cloud of any scale, with ``n_basis`` functions and at most ``n_samples`` samples.
 
-    Parameters
-    ----------
-    shape
-        Mesh or point cloud.
-    n_basis
-        Basis functions to compute.
-    n_samples
-        Samples S; all vertices where there are fewer.
-    n_oriented
-        Size n of the orientation operators.
-    landmarks
-        (L,) vertices that correspond across the collection, or None.
+    Orientation operators have size ``n_oriented``; landmarks are vertices (L,) that correspond across the collection.
     """
-    scale = np.sqrt(_area(shape))
-    shape = Shape(shape.vertices / scale, shape.faces, shape.name)
+    if shape.faces is None:
+        neighbours = min(30, shape.n_vertices - 1)
+        area = robust_laplacian.point_cloud_laplacian(shape.vertices, n_neighbors=neighbours)[1].sum()
+    else:
+        area = shape.area
+    shape = Shape(shape.vertices / np.sqrt(area), shape.faces, shape.name)
     try:
         basis = laplace_beltrami(shape.vertices, shape.faces, n_basis)
     except ValueError as error:
@@ -101,14 +90,14 @@ def sample_shape(
     descriptors = _descriptors(basis, landmarks)
     oriented = None if shape.faces is None else orientation_operators(shape, basis.truncated(n_oriented), descriptors)
     return SampledShape(
-        shape,
-        basis,
-        samples,
-        geodesics_between(shape, samples),
-        descriptors,
-        basis.coefficients(descriptors),
-        oriented,
-        len(landmarks),
+        shape=shape,
+        basis=basis,
+        samples=samples,
+        geodesics=geodesics_between(shape, samples),
+        descriptors=descriptors,
+        coefficients=basis.coefficients(descriptors),
+        orientation=oriented,
+        n_landmarks=len(landmarks),
     )
 
 
@@ -138,8 +127,10 @@ def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = No
 def geodesics_between(shape: Shape, samples: np.ndarray) -> np.ndarray:
     """Geodesic distances (S, S) by the heat method (Crane et al. 2013) on a copy of at most 3000 vertices."""
     vertices, faces = shape.vertices, shape.faces
-    if len(vertices) > _COARSE:
-        vertices, faces = _coarse(shape)
+    if len(vertices) > _COARSE and faces is None:
+        vertices = vertices[farthest_points(vertices, _COARSE)]
+    elif len(vertices) > _COARSE:
+        vertices, faces = decimated(shape, _COARSE)
     at = cKDTree(vertices).query(shape.vertices[samples])[1]
     if faces is None:
         solver = pp3d.PointCloudHeatSolver(vertices)
@@ -184,17 +175,8 @@ def _descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:
     return functions / np.sqrt(basis.mass @ functions**2)
 
 
-def _area(shape: Shape) -> float:
-    if shape.faces is not None:
-        return shape.area
-    neighbours = min(30, shape.n_vertices - 1)
-    return float(robust_laplacian.point_cloud_laplacian(shape.vertices, n_neighbors=neighbours)[1].sum())
-
-
-def _coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray | None]:
-    if shape.faces is None:
-        return shape.vertices[farthest_points(shape.vertices, _COARSE)], None
+def decimated(shape: Shape, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a copy of a mesh with about ``size`` vertices."""
     pv = require("pyvista", "shapes")
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
-    mesh = mesh.decimate(1 - _COARSE / shape.n_vertices)
+    mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces).decimate(1 - size / shape.n_vertices)
     return np.asarray(mesh.points, dtype=float), mesh.regular_faces.astype(np.int64)

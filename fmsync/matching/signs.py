@@ -1,17 +1,10 @@
-"""Signs without any truth: which shapes to turn over so that most maps have determinant +1."""
+"""Signs of eigenfunctions without any truth: which shapes to flip so that most maps have determinant +1."""
 
 import numpy as np
 
 
 def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signs s with det C_ij = s_i s_j on as many edges as greedy ascent from the leading eigenvector finds.
-
-    Parameters
-    ----------
-    n_nodes
-        Shapes N.
-    edges, maps
-        (E, 2) pairs and (E, n, n) maps.
+    """Signs s with det C_ij = s_i s_j on as many edges (E, 2) as greedy ascent from the leading eigenvector finds.
 
     Returns
     -------

@@ -2,10 +2,8 @@
 
 import hashlib
 import itertools
-import os
-import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +13,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-import fmsync
 from fmsync import so
-from fmsync.estimators import Estimate
+from fmsync.estimators import Estimate, solve
+from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import Confidence, confidence
 from fmsync.matching.latent import sizes, upsample
@@ -25,13 +23,14 @@ from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.matching.signs import rotation_signs
 from fmsync.problem import SyncProblem
-from fmsync.samplers import Posterior
+from fmsync.samplers import Posterior, sample
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
+from fmsync.uncertainty import vertex_images
 
 ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
-_STRANGER = 0.25  # mean change of log eigenvalues from the median shape
+_OUTLIER = 0.25  # mean change of log eigenvalues from the median shape
 _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, median over the edges of a shape
 
 
@@ -90,15 +89,13 @@ class SyncedShapes:
 
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
-        if self.posterior is None:
-            raise ValueError("n_draws: confidence needs posterior draws; synchronise with n_draws > 0")
         if not 0 < level < 1:
             raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
-        first, second, draws, votes = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN), self.votes(i, j)
+        first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
         with single_threaded_blas():
             image = self.sample_images(i, j)
             vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
-        return confidence(first, second, image, vertex, draws, votes, level)
+        return confidence(first, second, image, vertex, draws, self.votes(i, j), level)
 
     def draws(self, i: int, j: int, count: int) -> np.ndarray:
         """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
@@ -106,14 +103,14 @@ class SyncedShapes:
             raise ValueError("n_draws: there are no posterior draws; synchronise with n_draws > 0")
         flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
         flat = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(int)]
-        turn = turns(self.signs, self.problem.n)
-        return turn[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * turn[j]
+        flips = basis_signs(self.signs, self.problem.n)
+        return flips[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * flips[j]
 
     def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
         """(T,) vertices of shape j where ``count`` posterior draws send one vertex of shape i."""
         n = self.problem.n
         a, b = self.shapes[i].basis.truncated(n), self.shapes[j].basis.truncated(n)
-        return fmsync.uncertainty.vertex_images(self.draws(i, j, count), a, b, vertex)
+        return vertex_images(self.draws(i, j, count), a, b, vertex)
 
     def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
@@ -156,31 +153,20 @@ def synchronize_shapes(
     ----------
     shapes
         At least two meshes or point clouds in any unit, with any numbers of vertices, each in one piece.
-    n_basis
-        Size n of the maps that are sampled.
-    n_refined
-        Size m >= n of the maps that carry points.
-    n_samples
-        Samples of each shape.
+    n_basis, n_refined
+        Size n of the maps that are sampled, and size m >= n of those that carry points.
+    n_samples, n_draws
+        Samples of each shape, and posterior draws (0 for none).
     graph
         ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j).
-    n_draws
-        Posterior draws, 0 for none.
     landmarks
         For each shape the same L vertices in the same order.
-    jobs
-        Processes of the pairwise stage, through joblib and its active backend.
-    checkpoint
-        Folder of finished pairs, which are not done again.
+    jobs, checkpoint
+        Processes of the pairwise stage, through joblib and its active backend; folder of pairs that are finished.
     progress
         Show a bar for each long stage.
     rng
         Seed or generator of estimators and sampler.
-
-    Returns
-    -------
-    SyncedShapes
-        Maps of every pair, and draws if there are.
 
     Raises
     ------
@@ -195,7 +181,29 @@ def synchronize_shapes(
     >>> synced.point_map(0, 2).shape
     (1000,)
     """
-    shapes = list(shapes)
+    shapes, rng = list(shapes), np.random.default_rng(rng)
+    _check(shapes, n_basis, n_refined, landmarks)
+    each = _parallel(jobs, progress)
+    marks = [None] * len(shapes) if landmarks is None else landmarks
+    sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
+    _refuse_outlier_shapes(sampled)
+    edges = _edges(graph, sampled)
+    light = [s.light(FINE) for s in sampled]
+    matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
+    _refuse_mirrored(sampled, edges, matches)
+    for k in range(ROUNDS):
+        estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
+        proposed = zip(edges, _flipped(estimate.relative(), edges, signs))
+        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, [(light[i], light[j], c) for (i, j), c in proposed])
+        matches = [min(old, new, key=lambda m: m.cost) for old, new in zip(matches, better)]
+    estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
+    posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress) if n_draws else None
+    maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
+    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
+    return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
+
+
+def _check(shapes: Sequence[Shape], n_basis: int, n_refined: int, landmarks: Sequence[Sequence[int]] | None) -> None:
     if len(shapes) < 2:
         raise ValueError(f"shapes: {len(shapes)} given, correspondences need at least two")
     if not 2 <= n_basis <= n_refined:
@@ -205,60 +213,9 @@ def synchronize_shapes(
             raise ValueError(
                 f"{shape.name}: {shape.n_vertices} vertices are too few for n_refined = {n_refined}; lower it"
             )
-    _refuse_inside_out(shapes)
-    if landmarks is not None and len({len(points) for points in landmarks} | {len(landmarks[0])}) != 1:
-        raise ValueError("landmarks: give every shape the same number of vertices")
-    if landmarks is not None and len(landmarks) != len(shapes):
-        raise ValueError(f"landmarks: {len(landmarks)} lists for {len(shapes)} shapes")
-    rng = np.random.default_rng(rng)
-
-    # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
-    run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
-    marks = [None] * len(shapes) if landmarks is None else landmarks
-    tasks = (delayed(sample_shape)(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks))
-    sampled = tuple(tqdm(run(tasks), "bases", len(shapes), disable=not progress))
-    refuse_strangers(sampled)
-    edges = _edges(graph, sampled)
-    folder = None if checkpoint is None else Path(checkpoint)
-    light = [s.light(FINE) for s in sampled]
-    tasks = (delayed(_kept_match)(light[i], light[j], folder) for i, j in edges)
-    matches = list(tqdm(run(tasks), "pairs", len(edges), disable=not progress))
-    _refuse_mirrored(sampled, edges, matches)
-
-    for k in range(ROUNDS):
-        estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
-        turn = turns(signs, n_basis)
-        relative = turn[edges[:, 0]][:, :, None] * estimate.relative() * turn[edges[:, 1]][:, None]
-        tasks = (delayed(improve)(light[i], light[j], c) for (i, j), c in zip(edges, relative))
-        better = list(tqdm(run(tasks), f"pairs again {k + 1}/{ROUNDS}", len(edges), disable=not progress))
-        matches = [min(old, new, key=lambda m: m.cost) for old, new in zip(matches, better)]
-    estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
-    posterior = None
-    if n_draws:
-        posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress)
-    maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
-    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
-    return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
-
-
-def refuse_strangers(shapes: Sequence[SampledShape]) -> None:
-    """ValueError that names the shape whose spectrum is far from the rest."""
-    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
-    apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
-    if len(shapes) == 2 and apart.max() > _STRANGER:
-        names = " and ".join(s.shape.name for s in shapes)
-        raise ValueError(f"{names} differ in spectrum by {2 * apart.max():.0%}: they are not poses of one surface")
-    worst = int(apart.argmax())
-    if len(shapes) > 2 and apart[worst] > max(_STRANGER, 3 * np.median(apart)):
-        raise ValueError(
-            f"{shapes[worst].shape.name} is unlike the rest: its spectrum differs by {apart[worst]:.0%} from the "
-            f"median shape, the others by {np.median(apart):.0%}; leave this likely intruder out"
-        )
-
-
-def _refuse_inside_out(shapes: Sequence[Shape]) -> None:
-    """Closed meshes of negative volume have their faces, or themselves, mirrored."""
-    volumes = {}
+    if landmarks is not None and (len(landmarks) != len(shapes) or len({len(points) for points in landmarks}) != 1):
+        raise ValueError(f"landmarks: give each of {len(shapes)} shapes the same number of vertices")
+    volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
     for shape in shapes:
         if shape.faces is not None:
             a, b, c = (shape.vertices - shape.vertices.mean(axis=0))[shape.faces.T]
@@ -268,6 +225,33 @@ def _refuse_inside_out(shapes: Sequence[Shape]) -> None:
         raise ValueError(
             f"{', '.join(inside_out)}: mirrored or inside out (negative volume) while the others are not; "
             "mirror it back, or reverse the order of corners in every face"
+        )
+
+
+def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
+    """Call a function with each of some arguments, in so many processes, under a bar with a name."""
+    # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
+    run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
+
+    def each(what: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+        tasks = (delayed(function)(*a) for a in arguments)
+        return list(tqdm(run(tasks), what, len(arguments), disable=not progress))
+
+    return each
+
+
+def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
+    """ValueError that names the shape whose spectrum is far from the rest."""
+    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
+    if len(shapes) == 2 and apart.max() > _OUTLIER:
+        names = " and ".join(s.shape.name for s in shapes)
+        raise ValueError(f"{names} differ in spectrum by {2 * apart.max():.0%}: they are not poses of one surface")
+    worst = int(apart.argmax())
+    if len(shapes) > 2 and apart[worst] > max(_OUTLIER, 3 * np.median(apart)):
+        raise ValueError(
+            f"{shapes[worst].shape.name} is unlike the rest: its spectrum differs by {apart[worst]:.0%} from the "
+            f"median shape, the others by {np.median(apart):.0%}; leave this likely outlier out"
         )
 
 
@@ -298,7 +282,7 @@ def _edges(graph: str | Sequence[tuple[int, int]], shapes: Sequence[SampledShape
     return np.array(sorted({tuple(sorted((int(i), int(j)))) for i, j in graph}))
 
 
-def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) -> PairMatch:
+def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path | None) -> PairMatch:
     """The match of a pair, read from ``folder`` where it was finished before."""
     if folder is None:
         return match(first, second)
@@ -306,48 +290,48 @@ def _kept_match(first: SampledShape, second: SampledShape, folder: Path | None) 
     for s in (first, second):
         for array in (s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics):
             key.update(np.ascontiguousarray(array).tobytes())
-    file = folder / f"{key.hexdigest()[:24]}.npz"
+    file = Path(folder) / f"{key.hexdigest()[:24]}.npz"
     if file.is_file():
         with np.load(file) as kept:
             return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))
     found = match(first, second)
-    folder.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(suffix=".npz", dir=folder)  # put in place complete, or not at all
-    with os.fdopen(handle, "wb") as stream:
-        numbers = [found.distortion, found.orientation, found.mirrored_distortion]
-        np.savez(stream, c_ij=found.c_ij, numbers=numbers)
-    os.replace(temporary, file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(file) as stream:
+        np.savez(stream, c_ij=found.c_ij, numbers=[found.distortion, found.orientation, found.mirrored_distortion])
     return found
 
 
-def turns(signs: np.ndarray, n: int) -> np.ndarray:
-    """(N, n) signs of all basis functions: the last one of a shape with -1 is turned over."""
-    turns = np.ones((len(signs), n))
-    turns[:, -1] = signs
-    return turns
+def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
+    """(N, n) signs of all basis functions: the last one of a shape with -1 is flipped."""
+    flips = np.ones((len(signs), n))
+    flips[:, -1] = signs
+    return flips
+
+
+def _flipped(maps: np.ndarray, edges: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Maps (E, n, n) between the bases with these signs."""
+    flips = basis_signs(signs, maps.shape[-1])
+    return flips[edges[:, 0]][:, :, None] * maps * flips[edges[:, 1]][:, None]
 
 
 def robust_maps(
     count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
 ) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
+    """Robust synchronisation of the matches: the estimate, signs, edges that violate them, and the problem solved."""
     maps = np.array([m.c_ij[:n, :n] for m in matches])
     signs, violating = rotation_signs(count, edges, maps)
-    turn = turns(signs, n)
-    problem = SyncProblem(count, edges, so.project(turn[edges[:, 0]][:, :, None] * maps * turn[edges[:, 1]][:, None]))
-    return _solved(problem, rng), signs, violating, problem
-
-
-def _solved(problem: SyncProblem, rng: int | np.random.Generator, **options: Any) -> Estimate:
-    """The robust answer to a part in a thousand: the maps are not better known than that."""
+    problem = SyncProblem(count, edges, so.project(_flipped(maps, edges, signs)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        if len(problem.edges) < problem.n_nodes:  # a tree has no cycle by which to tell a wrong edge
-            return fmsync.solve(problem, "mle", rng=rng, **options)
-        return fmsync.solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100, **options)
+        if len(edges) < count:  # a tree has no cycle by which to tell a wrong edge
+            estimate = solve(problem, "mle", rng=rng)
+        else:  # to a part in a thousand: the maps are not better known than that
+            estimate = solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
+    return estimate, signs, violating, problem
 
 
 def _trusted(problem: SyncProblem, estimate: Estimate) -> SyncProblem:
-    """The problem without the edges that the robust answer gave up, unless that takes it apart."""
+    """The problem without the edges that the robust estimate gave up, unless that takes it apart."""
     if estimate.edge_weights is None:
         return problem
     keep = estimate.edge_weights > 0.5
@@ -362,15 +346,14 @@ def _sample(
 ) -> Posterior:
     """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
     tree = problem.n_edges < problem.n_nodes
-    n_chains = 4
-    each = -(-n_draws // n_chains)
+    each = -(-n_draws // 4)
     with tqdm(desc="posterior", total=each, disable=not progress) as bar:
-        return fmsync.sample(
+        return sample(
             problem,
             "heat-bath",
             kappa=20.0 if tree else "auto",
             init=estimate,
-            n_chains=n_chains,
+            n_chains=4,
             n_draws=each,
             warmup=300,
             thin=4,

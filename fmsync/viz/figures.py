@@ -57,32 +57,32 @@ def style() -> None:
 
 
 @dataclass(frozen=True, repr=False)
-class Picture:
-    """A finished figure with the words for those who cannot see it.
-
-    Parameters
-    ----------
-    png
-        The picture, PNG bytes.
-    alt
-        One or two sentences that say what it shows.
-    width
-        Natural width on the page in CSS pixels.
-    """
+class Shown:
+    """What a page shows: a still for paper, PNG bytes, and one or two sentences for those who cannot see it."""
 
     png: bytes
     alt: str
-    width: int
 
     def __repr__(self) -> str:
-        return f"<Picture: {self.alt}>"
+        return f"<{type(self).__name__}: {self.alt}>"
 
     def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
-        return {
-            "image/png": base64.b64encode(self.png).decode(),
-            "text/html": f'<figure class="fm-figure">{image_tag(self.png, self.alt, self.width)}</figure>',
-            "text/plain": repr(self),
-        }
+        return {"image/png": base64.b64encode(self.png).decode(), "text/html": self.html(), "text/plain": repr(self)}
+
+    def html(self) -> str:
+        """The figure in HTML."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, repr=False)
+class Picture(Shown):
+    """A finished figure; ``width`` is its natural width on the page in CSS pixels."""
+
+    width: int
+
+    def html(self) -> str:
+        """The figure in HTML."""
+        return f'<figure class="fm-figure">{image_tag(self.png, self.alt, self.width)}</figure>'
 
 
 def image_tag(png: bytes, alt: str, width: int) -> str:
@@ -99,21 +99,9 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
 
 
 def picture(fig: Figure, alt: str) -> Picture:
-    """Freeze a matplotlib figure as a ``Picture`` with alt text, and close it.
+    """Freeze a matplotlib figure as a ``Picture``, and close it; ``alt`` says in a sentence or two what it shows.
 
     Type smaller than 10 points is raised to that: it could not be read on a phone.
-
-    Parameters
-    ----------
-    fig
-        Any matplotlib figure.
-    alt
-        What the figure shows, in one or two sentences.
-
-    Raises
-    ------
-    ValueError
-        ``alt`` is empty.
 
     Examples
     --------
@@ -144,8 +132,6 @@ def heatmaps(
     *,
     alt: str,
     clim: tuple[float, float] | None = None,
-    cmap: str = "RdBu_r",
-    label: str = "",
     columns: int = 3,
 ) -> Picture:
     """Matrices side by side under one colour scale.
@@ -154,23 +140,12 @@ def heatmaps(
     ----------
     matrices
         K arrays of shape (n, m), e.g. functional maps.
-    titles
-        K strings.
-    alt
-        What the figure shows.
+    titles, alt
+        K strings, and what the figure shows.
     clim
         Limits shared by all panels; by default symmetric about zero and wide enough for every entry.
-    cmap
-        Colour map.
-    label
-        Label of the colour bar: name and unit.
     columns
         Panels in a row.
-
-    Raises
-    ------
-    ValueError
-        No matrices, an array that is not a matrix, or another number of titles than of matrices.
 
     Examples
     --------
@@ -198,9 +173,9 @@ def heatmaps(
         for ax in axes.flat[len(arrays) :]:
             ax.set_visible(False)
         for ax, m, title in zip(axes.flat, arrays, titles):
-            image = ax.imshow(m, cmap=cmap, vmin=clim[0], vmax=clim[1], interpolation="nearest")
+            image = ax.imshow(m, cmap="RdBu_r", vmin=clim[0], vmax=clim[1], interpolation="nearest")
             ax.set(title=title, xticks=[], yticks=[])
             ax.grid(False)
             ax.spines[:].set_visible(False)
-        fig.colorbar(image, ax=axes, label=label, shrink=0.8)
+        fig.colorbar(image, ax=axes, shrink=0.8)
         return picture(fig, alt)

@@ -15,53 +15,32 @@ from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from fmsync.viz.figures import PALETTE, STYLE, freeze, image_tag
+from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
 
 
 @dataclass(frozen=True, repr=False)
-class Loop:
-    """A picture that moves, and the same picture at rest.
-
-    Parameters
-    ----------
-    webp
-        The frames, bytes of an animated WebP.
-    still
-        The last frame, PNG bytes: what paper shows, and screens that are asked for reduced motion.
-    alt
-        One or two sentences that say what it shows.
-    width
-        Natural width on the page in CSS pixels.
-    """
+class Loop(Picture):
+    """A picture that moves: an animated WebP beside its last frame, which screens with reduced motion show too."""
 
     webp: bytes
-    still: bytes
-    alt: str
-    width: int
 
-    def __repr__(self) -> str:
-        return f"<Loop: {self.alt}>"
-
-    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
+    def html(self) -> str:
+        """The moving picture, the still, and a button that pauses, in HTML."""
         moving = f"data:image/webp;base64,{base64.b64encode(self.webp).decode()}"
         with Image.open(io.BytesIO(self.webp)) as first:
             height = round(self.width * first.height / first.width)
-        still = image_tag(self.still, self.alt, self.width)
+        still = image_tag(self.png, self.alt, self.width)
         still = still.replace("<img ", '<img class="fm-still" style="display:none" ', 1).replace("lazy", "eager")
-        return {
-            "image/png": base64.b64encode(self.still).decode(),
-            "text/html": (
-                '<figure class="fm-figure fm-moving">'
-                f'<img class="fm-loop" alt="{html.escape(self.alt)}" width="{self.width}" height="{height}" '
-                f'src="{moving}">{still}'
-                '<button type="button" class="fm-pause" '
-                "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Pause or play</button></figure>"
-            ),
-            "text/plain": repr(self),
-        }
+        return (
+            '<figure class="fm-figure fm-moving">'
+            f'<img class="fm-loop" alt="{html.escape(self.alt)}" width="{self.width}" height="{height}" '
+            f'src="{moving}">{still}'
+            '<button type="button" class="fm-pause" '
+            "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Pause or play</button></figure>"
+        )
 
 
 def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
@@ -73,15 +52,13 @@ def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: flo
         At least two figures, e.g. a generator that draws them one by one.
     alt
         What is shown and how it moves, in one or two sentences.
-    seconds
-        Time of one frame.
-    rest
-        Time of the last frame, which is also the still.
+    seconds, rest
+        Time of one frame, and of the last one, which is also the still.
 
     Raises
     ------
     ValueError
-        Fewer than two figures, figures of unequal size, an empty ``alt``, or more than 300 kB.
+        Fewer than two figures, figures of unequal size, or more than 300 kB.
 
     Examples
     --------
@@ -109,29 +86,13 @@ def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: flo
     )
     if buffer.tell() > _MOST_BYTES:
         raise ValueError(f"the loop has {buffer.tell()} bytes: draw fewer or smaller frames, {_MOST_BYTES} at most")
-    return Loop(buffer.getvalue(), stills[-1], alt, width)
+    return Loop(stills[-1], alt, width, buffer.getvalue())
 
 
-def walk_on_sphere(points: ArrayLike, alt: str, *, target: ArrayLike | None = None, frames: int = 30) -> Loop:
-    """A chain of points on the unit sphere, drawn as it goes: what is near is dark, what is behind is pale.
+def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Loop:
+    """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 
     For a chain of rotations of space, give the places to which they turn one vector, e.g. ``rotations[:, :, 2]``.
-
-    Parameters
-    ----------
-    points
-        Shape (T, 3), unit vectors in the order of the chain, at least one for each frame.
-    alt
-        What is shown, in one or two sentences.
-    target
-        Unit vector (3,) to mark, e.g. the truth.
-    frames
-        Number of frames.
-
-    Raises
-    ------
-    ValueError
-        ``points`` that are not (T, 3) unit vectors, or fewer of them than frames.
 
     Examples
     --------
@@ -145,10 +106,10 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, target: ArrayLike | None = No
     if len(points) < frames:
         raise ValueError(f"{len(points)} points for {frames} frames: give at least one for each")
     ends = np.linspace(len(points) / frames, len(points), frames).round().astype(int)
-    return loop((_sphere(points[:end], target, len(points)) for end in ends), alt)
+    return loop((_sphere(points[:end], len(points)) for end in ends), alt)
 
 
-def _sphere(points: np.ndarray, target: ArrayLike | None, total: int) -> Figure:
+def _sphere(points: np.ndarray, total: int) -> Figure:
     x, y, depth = _seen(points)
     with mpl.style.context(STYLE):
         fig, ax = plt.subplots(figsize=(3.6, 3.8))
@@ -166,9 +127,6 @@ def _sphere(points: np.ndarray, target: ArrayLike | None, total: int) -> Figure:
         ax.scatter(x[chosen], y[chosen], s=size, color=PALETTE[0], alpha=alpha, lw=0, zorder=3)
     ax.plot(x[-15:], y[-15:], "-", color=PALETTE[1], lw=1.5, alpha=0.9, zorder=4)
     ax.plot(x[-1], y[-1], "o", color=PALETTE[1], ms=9, mec="white", zorder=6)
-    if target is not None:
-        across, up, _ = _seen(np.atleast_2d(target))
-        ax.plot(across, up, "*", color="k", ms=14, mec="white", zorder=5)
     return fig
 
 

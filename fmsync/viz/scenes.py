@@ -11,7 +11,7 @@ import sys
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fmsync.extras import require
-from fmsync.viz.figures import PALETTE, image_tag
+from fmsync.shape import Shape
+from fmsync.viz.figures import PALETTE, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1200  # width of the still
@@ -48,53 +49,27 @@ raise SystemExit(0 if w.SupportsOpenGL() else 1)
 Panel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-class Mesh(Protocol):
-    """What can be drawn (:class:`fmsync.Shape`)."""
-
-    @property
-    def vertices(self) -> np.ndarray: ...
-
-    @property
-    def faces(self) -> np.ndarray | None: ...
-
-
 @dataclass(frozen=True, repr=False)
-class Scene:
-    """A drawn scene: a still for print, and the vtk.js data of the one that turns.
+class Scene(Shown):
+    """A drawn scene: a still, and the one that turns.
 
     Parameters
     ----------
-    png
-        The still, PNG bytes.
     data
         The scene as a zipped vtk.js file, or None where only the still could be drawn.
-    alt
-        What the scene shows, for those who cannot see it.
     rows, columns, titles
         The grid of panels and the title of each.
     colour_bar
         HTML of the colour bar, or an empty string.
     """
 
-    png: bytes
     data: bytes | None
-    alt: str
     rows: int
     columns: int
     titles: tuple[str, ...]
-    colour_bar: str = ""
+    colour_bar: str
 
-    def __repr__(self) -> str:
-        return f"<Scene: {self.alt}>"
-
-    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
-        return {
-            "image/png": base64.b64encode(self.png).decode(),
-            "text/html": self._html(),
-            "text/plain": repr(self),
-        }
-
-    def _html(self) -> str:
+    def html(self) -> str:
         """The built book holds one viewer for all its scenes; elsewhere (JupyterLab) each brings its own."""
         width = int.from_bytes(self.png[16:20], "big")  # of the PNG header
         height = int.from_bytes(self.png[20:24], "big")
@@ -121,7 +96,7 @@ class Scene:
 
 
 def scene(
-    meshes: Sequence[Mesh],
+    meshes: Sequence[Shape],
     scalars: Sequence[ArrayLike] | None = None,
     titles: Sequence[str] | None = None,
     *,
@@ -131,41 +106,27 @@ def scene(
     label: str = "",
     points: Sequence[ArrayLike] | None = None,
     flat: bool = False,
-    up: str = "z",
     columns: int = 4,
 ) -> Scene:
-    """Shapes side by side at equal scale, upright; turning one turns them all.
+    """Shapes side by side at equal scale, upright (z is up); turning one turns them all.
 
     Parameters
     ----------
     meshes
-        K objects with ``vertices`` (V, 3) and ``faces`` (F, 3), e.g. :class:`fmsync.Shape`, in one common unit. Shown
-        with at most 10,000 vertices a scene; every shown vertex takes the colour of the nearest given vertex.
+        K shapes, or other objects with ``vertices`` (V, 3) and ``faces`` (F, 3), in one common unit. A scene shows at
+        most 10,000 vertices, and every one of them takes the colour of the nearest given vertex.
     scalars
         K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
-    titles
-        K strings; by default the ``name`` of each mesh.
-    alt
-        What the scene shows, in one or two sentences.
-    cmap
-        Colour map.
-    clim
-        Its limits, shared by all shapes; by default the range of all scalars.
-    label
-        Label of the colour bar.
+    titles, alt
+        K strings, by default the ``name`` of each mesh, and a sentence or two that say what the scene shows.
+    cmap, clim, label
+        Colour map, its limits (by default the range of all scalars), and what the colour bar is called.
     points
         K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
     flat
         Light evenly, so that a colour means the same everywhere: for uncertainties.
-    up
-        Axis of ``vertices`` that points up: "y" or "z".
     columns
         Shapes in a row.
-
-    Raises
-    ------
-    ValueError
-        An empty or ragged argument, naming which.
 
     Examples
     --------
@@ -175,22 +136,12 @@ def scene(
     >>> scene([tetrahedron], [[0, 1, 2, 3]], ["tetrahedron"], alt="A tetrahedron.")
     <Scene: A tetrahedron.>
     """
-    count = len(meshes)
-    if not count or not alt.strip():
-        raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
-    if up not in ("y", "z"):
-        raise ValueError(f"up is {up!r}: give 'y' or 'z'")
-    for k, mesh in enumerate(meshes):
-        if mesh.faces is None:
-            raise ValueError(f"meshes[{k}] is a point cloud: only shapes with faces can be drawn")
     titles = [getattr(m, "name", "") for m in meshes] if titles is None else list(titles)
-    for name, values in (("scalars", scalars), ("titles", titles), ("points", points)):
-        if values is not None and len(values) != count:
-            raise ValueError(f"{name} has {len(values)} entries for {count} meshes: give one each")
+    _check(meshes, alt, scalars=scalars, titles=titles, points=points)
+    count = len(meshes)
     colours, colour_bar = _colours(meshes, scalars, cmap, clim, label)
     marks = [np.empty(0, int)] * count if points is None else [np.asarray(p, int) for p in points]
-    panels = [_panel(m, c, p, up, _MAX_VERTICES // count) for m, c, p in zip(meshes, colours, marks)]
-
+    panels = [_panel(m, c, p, _MAX_VERTICES // count) for m, c, p in zip(meshes, colours, marks)]
     columns = min(columns, count)
     rows = -(-count // columns)
     across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ _AXES).T
@@ -198,10 +149,19 @@ def scene(
     # every vertex inside its panel, and room for the title
     distance = 1.16 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
     size = (_PIXELS, round(_PIXELS / columns / aspect) * rows)
+    png, data = (_draw_vtk if can_render() else _draw_still)(panels, rows, columns, size, distance, flat)
+    return Scene(png, alt, data, rows, columns, tuple(titles), colour_bar)
 
-    draw = _draw_vtk if can_render() else _draw_still
-    png, data = draw(panels, rows, columns, size, distance, flat)
-    return Scene(png, data, alt, rows, columns, tuple(titles), colour_bar)
+
+def _check(meshes: Sequence[Shape], alt: str, **given: Sequence[object] | None) -> None:
+    if not len(meshes) or not alt.strip():
+        raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
+    for k, mesh in enumerate(meshes):
+        if mesh.faces is None:
+            raise ValueError(f"meshes[{k}] is a point cloud: only shapes with faces can be drawn")
+    for name, values in given.items():
+        if values is not None and len(values) != len(meshes):
+            raise ValueError(f"{name} has {len(values)} entries for {len(meshes)} meshes: give one each")
 
 
 @functools.cache
@@ -217,7 +177,11 @@ def _choose_egl() -> None:
 
 
 def _colours(
-    meshes: Sequence[Mesh], scalars: Sequence[ArrayLike] | None, cmap: str, clim: tuple[float, float] | None, label: str
+    meshes: Sequence[Shape],
+    scalars: Sequence[ArrayLike] | None,
+    cmap: str,
+    clim: tuple[float, float] | None,
+    label: str,
 ) -> tuple[list[np.ndarray], str]:
     """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
     if scalars is None:
@@ -241,11 +205,9 @@ def _colours(
     return colours, f'<figcaption class="fm-bar">{row}{caption}</figcaption>'
 
 
-def _panel(mesh: Mesh, colours: np.ndarray, marks: np.ndarray, up: str, limit: int) -> Panel:
+def _panel(mesh: Shape, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
     """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
     given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
-    if up == "y":
-        given = given[:, [0, 2, 1]] * np.array([1, -1, 1], dtype=np.float32)
     given = given - (given.max(axis=0) + given.min(axis=0)) / 2
     if len(given) <= limit:
         return given, faces, colours, given[marks]

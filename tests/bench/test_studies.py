@@ -93,7 +93,11 @@ def test_evaluation_knows_the_right_images(observed):
 
 
 def test_regions_hold_more_where_they_promise_more(observed, cats):
-    for calibration in (None, confidence.shipped(), confidence.fit_recalibration(observed.known, observed.errors)):
+    for calibration in (
+        None,
+        confidence.default_calibration(),
+        confidence.fit_conformal(observed.known, observed.errors),
+    ):
         covered = list(observed.covered(calibration).values())
         assert covered == sorted(covered)
     assert covered == pytest.approx(confidence.LEVELS, abs=0.02)  # on what it was fitted on
@@ -102,7 +106,7 @@ def test_regions_hold_more_where_they_promise_more(observed, cats):
 
 
 def test_risk_falls_the_most_for_who_knows_the_errors(observed):
-    found = confidence.risk_coverage(observed, confidence.shipped())
+    found = confidence.risk_coverage(observed, confidence.default_calibration())
     assert list(found) == ["kept", "curve", "area"]
     assert all(curve[0] == pytest.approx(1) for curve in found["curve"].values())
     assert min(found["area"], key=found["area"].get) == "oracle"

@@ -13,7 +13,7 @@ from data_gen import cat_mesh
 from data_gen.cat_body import BLEND, bones, cones, skin
 from data_gen.cat_pose import POSES, Rig, joint_transforms, muscle_tone
 from data_gen.cats import cats, left_right_flip
-from data_gen.isometry import edge_distortion, edges
+from data_gen.report import edge_distortion, edges
 from data_gen.self_intersection import self_intersections
 from data_gen.truth import fix_signs
 from fmsync.shape import Shape

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fmsync.cli import main
-from fmsync.matching import recalibration
-from fmsync.matching.reading import read_mesh
+from fmsync.matching import conformal
+from fmsync.mesh_io import read_shape
 from tests.matching.conftest import QUICK, write_off
 
 
@@ -31,7 +32,7 @@ def test_everything_is_written(written):
     rows = np.frombuffer(body, dtype="<f4", count=5 * 1000).reshape(1000, 5)  # x, y, z, quality, spread
     np.testing.assert_allclose(rows[:, :3], vtp.points, rtol=1e-6)
     np.testing.assert_array_equal(rows[:, 3], vtp["region"])
-    assert len(read_mesh(out / "meshes" / "cat2.ply").faces) == vtp.n_cells
+    assert len(read_shape(out / "meshes" / "cat2.ply").faces) == vtp.n_cells
     with np.load(out / "maps.npz") as maps:
         assert maps["refined"].shape == (3, 18, 20)
         assert maps["draws"].shape == (40, 3, 10, 10)
@@ -62,7 +63,7 @@ def refused(capsys, *arguments) -> str:
 
 def test_bad_input_ends_with_status_two_and_leaves_nothing(folder, tmp_path, capsys):
     good, out = folder / "cat0.off", tmp_path / "out"
-    shape = read_mesh(good)
+    shape = read_shape(good)
     empty, torn = tmp_path / "empty.off", tmp_path / "torn.off"
     empty.write_text("")
     torn.write_text("OFF\n5 3 0\n0 0 0\n1 0")
@@ -76,27 +77,27 @@ def test_bad_input_ends_with_status_two_and_leaves_nothing(folder, tmp_path, cap
     assert "torn.off" in refused(capsys, good, torn, "-o", out)
     assert "empty" in refused(capsys, good, empty, "-o", out)
     assert "no such file" in refused(capsys, good, tmp_path / "missing.off", "-o", out)
-    assert "split: the surface has 2 components" in refused(capsys, good, split, "-o", out)
+    assert "split.off: 2 components, the largest with 50%" in refused(capsys, good, split, "-o", out)
     assert "at least two" in refused(capsys, good, "-o", out)
     assert "mirror: mirrored or inside out" in refused(capsys, good, mirror, "-o", out)
     said = refused(capsys, folder, plank, "-o", out)
     assert "plank is unlike the rest" in said
-    assert "intruder" in said
+    assert "outlier" in said
     assert "not empty" in refused(capsys, folder, "-o", full)
     assert "no such file" in refused(capsys, folder, "-o", out, "--calibration", tmp_path / "none.json")
-    assert "not a recalibration" in refused(capsys, folder, "-o", out, "--calibration", empty)
+    assert "not a calibration" in refused(capsys, folder, "-o", out, "--calibration", empty)
     assert "level" in refused(capsys, folder, "-o", out, "--level", "0.999")
     assert not out.exists()
     assert not (tmp_path / "out.partial").exists()
     assert (full / "kept.txt").read_text() == "mine"
 
 
-def test_a_recalibration_of_ones_own_is_used(folder, written, tmp_path):
+def test_a_calibration_of_ones_own_is_used(folder, written, tmp_path):
     own, out = tmp_path / "own.json", tmp_path / "out"
-    shipped = recalibration.shipped()
-    wide = recalibration.Recalibration("my scans", shipped.mean, shipped.levels, tuple(3 * s for s in shipped.scales))
+    shipped = conformal.default_calibration()
+    wide = replace(shipped, fitted_on="my scans", scales=tuple(3 * s for s in shipped.scales))
     wide.save(own)
-    assert recalibration.Recalibration.load(own) == wide
+    assert conformal.ConformalCalibration.load(own) == wide
     assert main(["sync", str(folder), "-o", str(out), "--calibration", str(own), *QUICK]) == 0
     regions = [np.genfromtxt(f / "point_maps" / "cat1_to_cat0.csv", delimiter=",") for f in (out, written.folder)]
     np.testing.assert_allclose(regions[0][1:, 2], 3 * regions[1][1:, 2], rtol=1e-3)
@@ -126,8 +127,8 @@ def test_killed_and_restarted_finished_pairs_are_not_redone(folder, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         import fmsync.sync_cli
 
-        replace = os.replace
-        patch.setattr(fmsync.sync_cli.os, "replace", lambda a, b: (look(), replace(a, b))[1])
+        move = os.replace
+        patch.setattr(fmsync.sync_cli.os, "replace", lambda a, b: (look(), move(a, b))[1])
         assert main(command[3:]) == 0
     assert seen == kept
     assert (out / "report.html").is_file()

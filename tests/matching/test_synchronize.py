@@ -8,9 +8,9 @@ import pytest
 import data_gen
 import fmsync
 from bench.own_shapes.confidence import planted_noise
-from fmsync.matching import fit_recalibration, pairwise, synchronize
-from fmsync.matching.confidence import Confidence, _stretch, two_modes
-from fmsync.matching.doubts import doubts
+from fmsync.matching import fit_conformal, pairwise, synchronize
+from fmsync.matching.confidence import Confidence, local_distortion, two_modes
+from fmsync.matching.quality import quality_flags
 from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators
 from fmsync.matching.signs import rotation_signs
 from fmsync.shape import Shape
@@ -120,13 +120,13 @@ def test_confidence_of_certain_draws_is_a_point(synced):
     assert wider.radius.mean() > known.radius.mean()
 
 
-def test_recalibration_covers_what_it_promises():
+def test_conformal_regions_cover_what_they_promise():
     rng = np.random.default_rng(0)
     zeros = np.zeros(4000, dtype=int)
     spread = rng.uniform(0.01, 0.2, 4000)
-    known = Confidence(zeros, zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
+    known = Confidence(zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
     errors = 3 * spread * rng.exponential(size=4000)
-    fitted = fit_recalibration([known], [errors])
+    fitted = fit_conformal([known], [errors])
     fresh = 3 * spread * rng.exponential(size=4000)
     assert (fresh <= fitted.radius(known)).mean() == pytest.approx(0.9, abs=0.02)
 
@@ -186,18 +186,18 @@ def test_regions_hold_what_they_promise_where_the_model_is_right(synced):
     assert covered["0.5"] < covered["0.9"]
 
 
-def test_evidence_grows_with_errors_it_has_not_seen(synced):
+def test_the_uncertainty_score_grows_with_errors_it_has_not_seen(synced):
     """Maps turned at random by more and more: every turn is an error that no truth is needed to notice."""
     rng, size = np.random.default_rng(0), synced.refined.shape[-1]
     direction = rng.standard_normal((size, size))
     direction = (direction - direction.T) / np.sqrt(size)
-    evidence = []
+    scores = []
     for angle in (0.0, 0.3, 0.6, 1.2):
         refined = synced.refined.copy()
         refined[1] = refined[1] @ fmsync.so.exp(angle * direction)
-        evidence.append(np.median(replace(synced, refined=refined).confidence(0, 1).evidence()))
-    assert evidence == sorted(evidence)
-    assert 1.5 * evidence[0] < evidence[2] < evidence[3] / 1.5
+        scores.append(np.median(replace(synced, refined=refined).confidence(0, 1).uncertainty_score()))
+    assert scores == sorted(scores)
+    assert 1.5 * scores[0] < scores[2] < scores[3] / 1.5
 
 
 def test_images_of_one_vertex(synced):
@@ -207,11 +207,11 @@ def test_images_of_one_vertex(synced):
     assert np.median(np.linalg.norm(points[images] - points[17], axis=1)) < 0.15
 
 
-def test_thin_draws_and_contradicting_pairs_are_doubts(synced):
+def test_thin_draws_and_contradicting_pairs_are_flagged(synced):
     rng = np.random.default_rng(0)
     draws = synced.posterior.energy.shape
     apart = replace(synced.posterior, energy=rng.standard_normal(draws) + 5 * np.arange(draws[0])[:, None])
-    said = " ".join(doubts(replace(synced, posterior=apart, violating=np.array([0]))))
+    said = " ".join(quality_flags(replace(synced, posterior=apart, violating=np.array([0]))))
     assert "R-hat" in said
     assert "do not rely on the regions" in said
     assert "cat0–cat1" in said
@@ -245,12 +245,12 @@ def test_other_processes_are_sent_the_samples_alone(synced):
     assert light.shape.n_vertices == 200
 
 
-def test_stretch_is_none_under_a_copy_and_grows_with_scale(synced):
+def test_local_distortion_is_none_under_a_copy_and_grows_with_scale(synced):
     """Against the definition, sample by sample: eight nearest samples, then a Gaussian average."""
     first = synced.shapes[0]
     points, g = first.shape.vertices[first.samples], first.geodesics
-    assert _stretch(first, points) == pytest.approx(0)
-    np.testing.assert_allclose(_stretch(first, 1.3 * points + 1), 0.3, atol=1e-12)
+    assert local_distortion(first, points) == pytest.approx(0)
+    np.testing.assert_allclose(local_distortion(first, 1.3 * points + 1), 0.3, atol=1e-12)
     images = points + 0.02 * np.random.default_rng(0).standard_normal(points.shape)
     change = np.empty(len(points))
     for k in range(len(points)):
@@ -258,4 +258,4 @@ def test_stretch_is_none_under_a_copy_and_grows_with_scale(synced):
         before, after = (np.array([np.linalg.norm(x[k] - x[near_k]) for near_k in near]) for x in (points, images))
         change[k] = np.mean(np.abs(after / before - 1))
     expected = [np.average(change, weights=np.exp(-((row / 0.15) ** 2))) for row in g]
-    np.testing.assert_allclose(_stretch(first, images), expected, rtol=1e-9)
+    np.testing.assert_allclose(local_distortion(first, images), expected, rtol=1e-9)

@@ -8,15 +8,14 @@ from fmsync.matching.synchronize import SyncedShapes
 _RHAT, _ESS = 1.01, 400
 
 
-def doubts(synced: SyncedShapes) -> list[str]:
+def quality_flags(synced: SyncedShapes) -> list[str]:
     """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
 
     Watches the energy and the concentration of the chains, and the edges that contradict the rest.
     """
     said = []
     if synced.posterior is not None:
-        watched = [synced.posterior.energy, synced.posterior.kappa]
-        varying = [x for x in watched if np.ptp(x) > 0]
+        varying = [x for x in (synced.posterior.energy, synced.posterior.kappa) if np.ptp(x) > 0]
         apart = max((diagnostics.rhat(x) for x in varying), default=np.nan)
         effective = min((diagnostics.ess(x) for x in varying), default=np.nan)
         if not np.isfinite(apart):

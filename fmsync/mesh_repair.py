@@ -1,0 +1,104 @@
+"""Examine a mesh as it came from a file: repair what has one right answer, and say so; refuse the rest."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+_MAIN_SHARE = 0.9  # of the area: a component this large is the shape, the others are debris
+
+
+def repaired(
+    vertices: np.ndarray, faces: np.ndarray, manifold: bool = True
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Vertices (V, 3), faces (F, 3), and a line for everything that was repaired.
+
+    Repaired: vertices at the same place (merged), faces that use a vertex twice and repeated faces (dropped), fins on
+    edges with more than two faces (dropped), debris beside a component that holds 90 % of the area (dropped), vertices
+    that no face uses (dropped, which renumbers those behind them).
+
+    Raises
+    ------
+    ValueError
+        Refused, naming the first offender: faces out of range, several large components; of a ``manifold`` also three
+        corners on one line, and an edge with more than two faces that is not a fin's.
+    """
+    said: list[str] = []
+    outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if outside.any():
+        face = int(np.argmax(outside))
+        raise ValueError(f"face {face} uses vertices {faces[face].tolist()} of 0..{len(vertices) - 1}: mend the file")
+    _, first, label = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    representative = first[label.ravel()]
+    merged = representative != np.arange(len(vertices))
+    if merged.any():
+        said.append(f"{merged.sum()} vertices lie exactly on others and were merged with them")
+        faces = representative[faces]
+    ordered = np.sort(faces, axis=1)
+    proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
+    faces = _kept(faces, proper, "use a vertex twice", said)
+    if len(faces) == 0:
+        raise ValueError("no face with three different corners is left: mend the file")
+    once = np.isin(np.arange(len(faces)), np.unique(ordered[proper], axis=0, return_index=True)[1])
+    faces = _kept(faces, once, "repeat others", said)
+    if manifold:
+        faces = _manifold(vertices, faces, said)
+    faces = _main_component(vertices, faces, said)
+    used = np.bincount(faces.ravel(), minlength=len(vertices)) > 0
+    idle = ~used & ~merged
+    if idle.any():
+        said.append(f"{idle.sum()} vertices are on no face and were dropped, the first is vertex {idle.argmax()}")
+    return vertices[used], (np.cumsum(used) - 1)[faces], said
+
+
+def _kept(faces: np.ndarray, keep: np.ndarray, what: str, said: list[str]) -> np.ndarray:
+    if keep.all():
+        return faces
+    said.append(f"{(~keep).sum()} faces {what} and were dropped")
+    return faces[keep]
+
+
+def _double_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = vertices[faces.T]
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.ndarray:
+    """Refuse flat faces and crowded edges; fins, which hang on such an edge by a free one of their own, are peeled."""
+    corners = vertices[faces]
+    longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
+    flat = _double_areas(vertices, faces) <= 1e-10 * longest2
+    if flat.any():
+        raise ValueError(
+            f"face {np.argmax(flat)} has no area, its three corners lie on one line ({flat.sum()} such): remesh it"
+        )
+    standing = np.ones(len(faces), dtype=bool)
+    while True:
+        ends = np.sort(faces[standing][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        codes = ends[:, 0] * len(vertices) + ends[:, 1]  # one number an edge: far quicker to sort than rows
+        _, label, count = np.unique(codes, return_inverse=True, return_counts=True)
+        use = count[label].reshape(-1, 3)  # how many faces share each edge of a face
+        crowded = (use > 2).any(axis=1)
+        fin = crowded & (use == 1).any(axis=1)
+        if not fin.any():
+            break
+        standing[standing] = ~fin
+    if crowded.any():
+        raise ValueError(
+            f"an edge of the face on vertices {faces[standing][np.argmax(crowded)].tolist()} belongs to more than two "
+            "faces: the surface is not a manifold there; split or remesh it"
+        )
+    return _kept(faces, standing, "stood as fins on edges with two other faces", said)
+
+
+def _main_component(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.ndarray:
+    links = np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())
+    graph = coo_array(links, shape=(len(vertices), len(vertices)))
+    of_face = connected_components(graph, directed=False)[1][faces[:, 0]]
+    count, area = len(np.unique(of_face)), np.bincount(of_face, _double_areas(vertices, faces))
+    if count == 1:
+        return faces
+    share = area.max() / area.sum()
+    if not share >= _MAIN_SHARE:
+        raise ValueError(f"{count} components, the largest with {share:.0%} of the area: give one of them")
+    said.append(f"{count} components; the largest, {share:.1%} of the area, was kept")
+    return faces[of_face == area.argmax()]
