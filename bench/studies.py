@@ -2,7 +2,6 @@
 
 import json
 import os
-import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.provenance import machine
 from fmsync.threads import single_threaded_blas
 
 
@@ -47,7 +47,7 @@ def compare(ours: Callable, peer: Callable, runs: int = 5, work: Callable | None
 def add_part(path: Path, part: str, found: Mapping, command: str) -> None:
     """Put ``found`` under ``part`` of a file of results, with how and where it was made; complete or not at all."""
     table = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    table[part] = {"command": command, "machine": f"{platform.machine()}, {os.cpu_count()} cores", **found}
+    table[part] = {"command": command, "machine": machine(), **found}
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(f".part{os.getpid()}")
     unfinished.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import re
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +13,8 @@ from jupyter_cache import get_cache
 from myst_nb.core.read import read_myst_markdown_notebook
 from nbformat import NotebookNode
 from sphinx.util.docutils import SphinxDirective
+
+from bench.provenance import machine
 
 ROOT = Path(__file__).resolve().parents[2]
 _LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyvista", "pyfmaps", "jupyter-book")
@@ -29,11 +30,9 @@ def pages(root: Path = ROOT) -> list[Path]:
 
 def surroundings() -> dict[str, str]:
     """Where a page is executed; kept beside its outputs."""
-    cpuinfo = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", cpuinfo.read_text()) if cpuinfo.exists() else []
     shapes = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
     return {
-        "machine": f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "system": f"{platform.system()} {platform.release()}, Python {platform.python_version()}",
         "shapes": "the TOSCA cats" if shapes.is_dir() else "the cats that come with the project",
     }
