@@ -102,11 +102,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
     def on_record(run, record: dict) -> None:
         bar.update()
-        line = f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s {run}"
         if bar.disable:
-            print(line, flush=True)
+            done = f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s"
+            print(f"{done} {run}", flush=True)
         elif record["status"] != "ok":
-            bar.write(line)
+            bar.write(f"{record['status']}: {run}")
 
     with bar:
         where = {"n_jobs": arguments.jobs, "scheduler": arguments.scheduler}

@@ -123,7 +123,7 @@ def execute(
             planted = _problem(run.generator, tuple(run.problem.items()), run.seed, run.content["data"])
             planted, rng = _replicated(planted, run.seed, method.kind, replica)
             _warm(method, run.options)
-            before = _reset_peak()
+            before = _peak(forget=True)
             began, cpu = time.perf_counter(), time.process_time()
             with limits or contextlib.nullcontext():
                 answer = method.run(planted, rng, run.options)
@@ -221,15 +221,11 @@ def _one_thread() -> Iterator[None]:
         numba.config.NUMBA_NUM_THREADS = many
 
 
-def _reset_peak() -> float:
-    """Forget the peak of this process so far, and give its present size in MB."""
+def _peak(*, forget: bool = False) -> float:
+    """Largest size of this process in MB, where the system allows it after forgetting what was before."""
     with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-    return _peak()
-
-
-def _peak() -> float:
-    with contextlib.suppress(OSError):
+        if forget:
+            Path("/proc/self/clear_refs").write_text("5")
         if match := re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text()):
             return int(match[1]) / 1024
     unit = 2**20 if sys.platform == "darwin" else 1024

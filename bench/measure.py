@@ -68,14 +68,11 @@ def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> It
 
 
 def _measure_points(planted: Planted, pairs: np.ndarray, maps: np.ndarray) -> Iterator:
-    errors = np.concatenate(
-        [
-            planted.distances[j][
-                np.arange(len(planted.scored)), point_map(c, planted.bases[i], planted.bases[j], planted.scored)
-            ]
-            for (i, j), c in zip(pairs, maps)
-        ]
-    )
+    errors, own = [], np.arange(len(planted.scored))
+    for (i, j), c in zip(pairs, maps):
+        sent = point_map(c, planted.bases[i], planted.bases[j], planted.scored)
+        errors.append(planted.distances[j][own, sent])
+    errors = np.concatenate(errors)
     yield "point_error", None, errors.mean()
     yield "point_area", None, metrics.area_under_curve(errors, _LARGEST_POINT_ERROR)
     thresholds = np.linspace(0, _LARGEST_POINT_ERROR, 26)

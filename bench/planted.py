@@ -26,7 +26,7 @@ class Planted:
     bases
         The N bases of the shapes, where point maps are to be scored; else ().
     scored
-        (P,) vertices whose images are scored, the same on every shape.
+        (P,) evaluation vertices, whose images are scored, the same on every shape.
     distances
         (P, V) geodesic distances of each shape from its scored vertices to all of its vertices, in units of the square
         root of its area; same length as ``bases``.

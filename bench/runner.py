@@ -18,21 +18,11 @@ class RunError(ValueError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a suite.
+    """What came of a suite."""
 
-    Attributes
-    ----------
-    records
-        One for every run, in their order, failures included.
-    n_cached
-        Runs that were finished before.
-    corrupt
-        Messages about damaged records, whose runs were repeated.
-    """
-
-    records: tuple[dict, ...]
-    n_cached: int
-    corrupt: tuple[str, ...]
+    records: tuple[dict, ...]  # one for every run, in their order, failures included
+    n_cached: int  # runs that were finished before
+    corrupt: tuple[str, ...]  # messages about damaged records, whose runs were repeated
 
 
 def run_suite(

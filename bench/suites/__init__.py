@@ -48,27 +48,17 @@ _GRID = {"generator": str, "problem": dict, "methods": list, "seeds": int, "seco
 
 @dataclass(frozen=True)
 class Run:
-    """One method on one problem.
-
-    Attributes
-    ----------
-    label
-        Name in the tables; ``method`` with ``options`` is what is executed.
-    seconds, memory
-        Limits; not part of what the run is.
-    file
-        File that registers the method, when it is not part of the package.
-    """
+    """One method on one problem; label, limits and file are not part of what determines its result."""
 
     generator: str
     problem: Mapping[str, object]
     seed: int
-    label: str
+    label: str  # name in the tables
     method: str
     options: Mapping[str, object] = field(default_factory=dict)
-    seconds: float = 60.0
-    memory: float = 2000.0
-    file: str | None = None
+    seconds: float = 60.0  # limits: of the method alone,
+    memory: float = 2000.0  # in MB above what the process holds before it
+    file: str | None = None  # that registers the method, when it is not part of the package
 
     @cached_property
     def content(self) -> dict:
