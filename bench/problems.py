@@ -84,8 +84,8 @@ def shapes(
     chosen = np.sort(for_choice.permutation(len(loaded))[:n_nodes])
     graph = random_graph(n_nodes, density, for_graph)
     truth = ground_truth([loaded[k] for k in chosen], graph, n, bases=[bases[k] for k in chosen])
-    protocol = {"noise": noise, "around": around, "two_way": two_way, "outliers": outliers}
-    planted = _observed(truth, for_noise, sigma2=sigma2, kappa=kappa, **protocol)
+    protocol = {"sigma2": sigma2, "kappa": kappa, "noise": noise, "two_way": two_way, "outliers": outliers}
+    planted = _observed(truth, for_noise, around=around, **protocol)
     if not points:
         return planted
     distances = tuple(_distances(*source, int(k), points) for k in chosen)

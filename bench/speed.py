@@ -42,12 +42,12 @@ def logarithms() -> Ways:
 
 def exponentials() -> Ways:
     tangents = so.skew(np.random.default_rng(0).standard_normal((110, 20, 20)))
-    return lambda: so.exp(tangents), lambda: scipy.linalg.expm(tangents)
+    return partial(so.exp, tangents), partial(scipy.linalg.expm, tangents)
 
 
 def projections() -> Ways:
     matrices = np.random.default_rng(0).standard_normal((110, 20, 20))
-    return lambda: so.project(matrices), lambda: [scipy.linalg.polar(a)[0] for a in matrices]
+    return partial(so.project, matrices), lambda: [scipy.linalg.polar(a)[0] for a in matrices]
 
 
 def eigenfunctions() -> Ways:

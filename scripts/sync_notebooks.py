@@ -44,9 +44,7 @@ def readable(text: str) -> str:
     >>> readable("See {eq}`eq-geo` and {doc}`the next chapter <02_so_n>`.")
     'See (eq-geo) and the next chapter.'
     """
-    out: list[str] = []
-    open_fences: list[str] = []
-    in_options = False
+    out, open_fences, in_options = [], [], False
     for line in text.split("\n"):
         if start := _FENCE.match(line):
             open_fences.append(start["fence"])

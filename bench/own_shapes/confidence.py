@@ -78,18 +78,12 @@ def observe(shapes: list[Shape], **options) -> Observed:
         for (i, _), k in zip(pairs, at_samples[0.9])
     ]
     errors = [evaluation.errors(i, j, synced.refined[i], synced.refined[j]).astype(float) for i, j in pairs]
-    cycles = cycle_errors(synced)
-    cheap = {
-        "embedding distance": [embedding_distance(synced, vertices, i, j) for i, j in pairs],
-        "cycle error": [np.full(vertices.shape[1], cycles[i, j]) for i, j in pairs],
-    }
+    cycles, cheap = cycle_errors(synced), {"embedding distance": [], "cycle error": []}
+    for i, j in pairs:
+        at_i, at_j = synced.shared_functions(i, vertices[i]), synced.shared_functions(j)
+        cheap["embedding distance"].append(np.linalg.norm(at_i - at_j[nearest_rows(at_i, at_j)], axis=1))
+        cheap["cycle error"].append(np.full(len(at_i), cycles[i, j]))
     return Observed(synced, evaluation, known, errors, radii, cheap)
-
-
-def embedding_distance(synced: SyncedShapes, vertices: np.ndarray, i: int, j: int) -> np.ndarray:
-    """(P,) distance of the shared functions at the evaluation vertices of shape i from those at their images on j."""
-    at_i, at_j = synced.shared_functions(i, vertices[i]), synced.shared_functions(j)
-    return np.linalg.norm(at_i - at_j[nearest_rows(at_i, at_j)], axis=1)
 
 
 def cycle_errors(synced: SyncedShapes) -> np.ndarray:
@@ -126,14 +120,12 @@ def learnt(indicators: list[list[np.ndarray]], errors: list[np.ndarray], parts: 
     from sklearn.ensemble import RandomForestRegressor
 
     rows = [np.column_stack(of_pair) for of_pair in zip(*indicators)]
-    expected: list[np.ndarray] = [np.empty(0)] * len(rows)
+    forests = []
     for part in range(parts):
         others = [k for k in range(len(rows)) if k % parts != part]
         forest = RandomForestRegressor(300, min_samples_leaf=8, max_features=0.5, random_state=0)
-        forest.fit(np.concatenate([rows[k] for k in others]), np.concatenate([errors[k] for k in others]))
-        for k in range(part, len(rows), parts):
-            expected[k] = forest.predict(rows[k])
-    return expected
+        forests.append(forest.fit(*(np.concatenate([x[k] for k in others]) for x in (rows, errors))))
+    return [forests[k % parts].predict(row) for k, row in enumerate(rows)]
 
 
 def planted(loaded: dict[str, list[Shape]]) -> dict:

@@ -117,10 +117,8 @@ def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, err
         return model.FM_12
 
     def refine(i: int, j: int) -> np.ndarray:
-        at = [meshes[k].eigenvectors for k in (j, i)]
-        return zoomout_refine(
-            fitted[i, j], *at, nit=(fine - n) // _STEP, step=_STEP, subsample=(samples[j], samples[i])
-        )
+        options = {"nit": (fine - n) // _STEP, "step": _STEP, "subsample": (samples[j], samples[i])}
+        return zoomout_refine(fitted[i, j], meshes[j].eigenvectors, meshes[i].eigenvectors, **options)
 
     def consistent(start: dict, size: int) -> dict:
         network = FMN(meshes)
