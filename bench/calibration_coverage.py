@@ -8,7 +8,6 @@ continued. Wrong models, which miss by far, get every fourth problem.
 
 import argparse
 import csv
-import importlib
 import time
 import warnings
 from pathlib import Path
@@ -18,126 +17,110 @@ import numpy as np
 import pandas as pd
 
 import fmsync
+from bench.problems import rotations
 from fmsync import calibration, diagnostics
 from fmsync.problem import relative_maps
 
 NOMINAL = (0.5, 0.8, 0.9, 0.95)
-_MAKER = "bench.problems:rotations"  # named, not imported: the library does not know where problems come from
-_N_NODES, _N, _DRAWS = 11, 20, 300
 _WRONG_EVERY = 4
+_MODELS = {
+    "langevin": {"kappa": "auto"},
+    "beta = 1": {"beta": 1.0},
+    "projected-gaussian": {"likelihood": "projected-gaussian"},
+}
 _THINNING = {  # sweeps between draws, so that 200 of them are effective; 2 elsewhere
     ("langevin", 8.0, "langevin"): 3,
     ("projected-gaussian", 0.1, "projected-gaussian"): 3,
     ("projected-gaussian", 0.2, "projected-gaussian"): 7,
     ("projected-gaussian", 0.02, "beta = 1"): 8,
-    ("projected-gaussian", None, "beta = 1"): 6,
+    **{("projected-gaussian", sigma2, "beta = 1"): 6 for sigma2 in (0.05, 0.1, 0.2)},
     ("projected-gaussian", 0.2, "langevin"): 3,
 }
-_FIELDS = [
-    *("noise", "level", "model", "problem", "cpu_seconds", "ess", "level_found"),
-    *("error_mean", "error_unprojected", "error_mle", "energy_score"),
-    *(f"covered_{round(100 * q)}" for q in NOMINAL),
-]
+_MEANS = ["ess", "level_found", "error_mean", "error_unprojected", "error_mle", "energy_score"]
+_COVERED = {q: f"covered_{round(100 * q)}" for q in NOMINAL}
+_FIELDS = ["noise", "level", "model", "problem", "cpu_seconds", *_MEANS, *_COVERED.values()]
 
-CELLS = [("langevin", kappa, "langevin") for kappa in (8.0, 11.0, 20.0, 50.0)]
-CELLS += [
+CASES = [("langevin", kappa, "langevin") for kappa in (8.0, 11.0, 20.0, 50.0)]
+CASES += [
     ("projected-gaussian", sigma2, model)
     for model in ("projected-gaussian", "langevin", "beta = 1")
     for sigma2 in (0.02, 0.05, 0.1, 0.2)
 ]
 
 
-def one(noise: str, level: float, model: str, problem: int) -> dict[str, object]:
+def one(noise: str, level: float, model: str, problem: int, n: int = 20, n_draws: int = 300) -> dict[str, object]:
     """Sample one planted problem and see which balls cover the truth: one line of the file."""
     warnings.simplefilter("ignore", diagnostics.ConvergenceWarning)
-    module, name = _MAKER.split(":")
-    maker = getattr(importlib.import_module(module), name)
-    options = {"kappa": level} if noise == "langevin" else {"sigma2": level}
-    planted = maker(seed=problem, n_nodes=_N_NODES, n=_N, noise=noise, **options)
-    p = planted.problem
-    began = time.process_time()
-    chosen = {
-        "langevin": {"kappa": "auto"},
-        "beta = 1": {"beta": 1.0},
-        "projected-gaussian": {"likelihood": "projected-gaussian"},
-    }[model]
-    thin = _THINNING.get((noise, level, model), _THINNING.get((noise, None, model), 2))
+    strength = {"kappa" if noise == "langevin" else "sigma2": level}
+    planted = rotations(seed=problem, n_nodes=11, n=n, noise=noise, **strength)
+    p, began = planted.problem, time.process_time()
+    thin = _THINNING.get((noise, level, model), 2)
     mle = fmsync.solve(p, "mle", rng=problem)
-    post = fmsync.sample(
-        p, "heat-bath", n_chains=1, n_draws=_DRAWS, warmup=250, thin=thin, rng=problem, init=mle, **chosen
-    )
+    options = {"n_chains": 1, "n_draws": n_draws, "warmup": 250, "thin": thin, **_MODELS[model]}
+    post = fmsync.sample(p, "heat-bath", rng=problem, init=mle, **options)
     truth = relative_maps(planted.truth, p.edges)
     draws = post.relative()[0]  # (draws, E, n, n)
     levels = np.array([calibration.ball_level(draws[:, e], truth[e]) for e in range(p.n_edges)])
     found = post.sigma2 if model == "projected-gaussian" else post.kappa
     distance = np.linalg.norm(draws[:, 0] - draws[:, 0].mean(axis=0), axis=(1, 2))
-    errors = {
-        "error_mean": post.relative_mean(),
-        "error_unprojected": post.relative_mean(projected=False),
-        "error_mle": mle.relative(),
-    }
+    unprojected = post.relative_mean(projected=False)
     return {
         **{"noise": noise, "level": level, "model": model, "problem": problem},
         "cpu_seconds": time.process_time() - began,
         "ess": min(diagnostics.ess(distance[None]), diagnostics.ess(post.energy)),
         "level_found": found.mean(),
-        **{name: np.linalg.norm(maps - truth, axis=(1, 2)).mean() for name, maps in errors.items()},
+        "error_mean": np.linalg.norm(post.relative_mean() - truth, axis=(1, 2)).mean(),
+        "error_unprojected": np.linalg.norm(unprojected - truth, axis=(1, 2)).mean(),
+        "error_mle": np.linalg.norm(mle.relative() - truth, axis=(1, 2)).mean(),
         "energy_score": np.mean([calibration.energy_score(draws[:, e], truth[e]) for e in range(5)]),
-        **{f"covered_{round(100 * q)}": (levels <= q).mean() for q in NOMINAL},
+        **{name: (levels <= q).mean() for q, name in _COVERED.items()},
     }
 
 
 def table(rows: pd.DataFrame) -> pd.DataFrame:
-    """One line for each cell: shares covered with standard errors clustered by problem, and what they cost."""
+    """One line for each case: shares covered with standard errors clustered by problem, and what they cost."""
     lines = []
     for (noise, level, model), group in rows.groupby(["noise", "level", "model"], sort=False):
         line = {"noise": noise, "level": level, "model": model, "problems": len(group)}
-        for q in NOMINAL:
-            covered = group[f"covered_{round(100 * q)}"]
-            line[f"{q:g}"] = covered.mean()
-            line[f"se {q:g}"] = covered.std(ddof=1) / np.sqrt(len(group))
-        for name in ("ess", "level_found", "error_mean", "error_unprojected", "error_mle", "energy_score"):
-            line[name] = group[name].mean()
-        line["cpu_hours"] = group.cpu_seconds.sum() / 3600
+        for q, name in _COVERED.items():
+            line |= {f"{q:g}": group[name].mean(), f"se {q:g}": group[name].std(ddof=1) / np.sqrt(len(group))}
+        line |= group[_MEANS].mean().to_dict() | {"cpu_hours": group.cpu_seconds.sum() / 3600}
         lines.append(line)
     return pd.DataFrame(lines).sort_values(["noise", "model", "level"], ignore_index=True)
 
 
 def missing(path: Path, n_problems: int) -> list[tuple]:
-    """(noise, level, model, problem) not in the file yet, all cells of a problem together."""
+    """(noise, level, model, problem) not in the file yet, all cases of a problem together."""
     known = set()
     if path.exists():
         rows = pd.read_csv(path)
         known = set(zip(rows.noise, rows.level, rows.model, rows.problem))
-    wanted = [(*cell, k) for k in range(n_problems) for cell in CELLS if cell[0] == cell[2] or k % _WRONG_EVERY == 0]
+    wanted = [(*case, k) for k in range(n_problems) for case in CASES if case[0] == case[2] or k % _WRONG_EVERY == 0]
     return [line for line in wanted if line not in known]
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Compute what is missing and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=400, help="planted problems of every cell")
+    parser.add_argument("--problems", type=int, default=400, help="planted problems of every case")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=np.inf, help="stop after about this long")
     parser.add_argument("--results", type=Path, default=Path("results"))
-    arguments = parser.parse_args()
-    path = arguments.results / "calibration_problems.csv"
-    todo, began = missing(path, arguments.problems), time.monotonic()
+    options = parser.parse_args(arguments)
+    path = options.results / "calibration_problems.csv"
+    todo, began, batch = missing(path, options.problems), time.monotonic(), 4 * options.jobs
     fresh = not path.exists()
-    with path.open("a", newline="") as file:
+    with path.open("a", newline="") as file, joblib.Parallel(options.jobs) as parallel:
         writer = csv.DictWriter(file, _FIELDS)
         if fresh:
             writer.writeheader()
-        with joblib.Parallel(arguments.jobs) as parallel:
-            for first in range(0, len(todo), 4 * arguments.jobs):
-                if time.monotonic() - began > 60 * arguments.minutes:
-                    break
-                batch = todo[first : first + 4 * arguments.jobs]
-                for line in parallel(joblib.delayed(one)(*cell) for cell in batch):
-                    writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in line.items()})
-                file.flush()
+        while todo and time.monotonic() - began < 60 * options.minutes:
+            for line in parallel(joblib.delayed(one)(*case) for case in todo[:batch]):
+                writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in line.items()})
+            file.flush()
+            del todo[:batch]
     made = table(pd.read_csv(path))
-    made.round(4).to_csv(arguments.results / "calibration_coverage.csv", index=False)
+    made.round(4).to_csv(options.results / "calibration_coverage.csv", index=False)
     print(made.round(3).to_string(index=False))
 
 

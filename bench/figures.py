@@ -31,9 +31,9 @@ def errors(table: pd.DataFrame) -> Figure:
             axis.fill_between(part.sigma2, part.low, part.high, color=line.get_color(), alpha=0.2, lw=0)
             axis.plot(part.sigma2, part.paper, "x", color=line.get_color())
         complete = table[(table.label == label) & (table.density == 1)]
-        below, beyond = complete[complete.recoverable], complete[~complete.recoverable]
-        axis.plot(below.sigma2, below.floor, "k-", lw=1.2, label="floor" if len(below) else None)
-        axis.plot(beyond.sigma2, beyond.floor, "k:", lw=1.2, label="floor, not valid" if len(beyond) else None)
+        for valid, style, name in ((True, "k-", "floor"), (False, "k:", "floor, not valid")):
+            part = complete[complete.recoverable == valid]
+            axis.plot(part.sigma2, part.floor, style, lw=1.2, label=name if len(part) else None)
         axis.set_title(str(label), fontsize=11)
         axis.set(ylim=(0, 7), xticks=sorted(table.sigma2.unique())[1::2])
     axes[0, 0].plot([], [], "x", color="0.3", label="the paper")
@@ -45,20 +45,12 @@ def errors(table: pd.DataFrame) -> Figure:
 
 
 def density(tables: dict[str, pd.DataFrame], label: str = "MLE (2)", sigma2: float = 0.2) -> Figure:
-    """Error of one row at one noise level against density: every reading, its expected line dotted, and the paper."""
-    figure = Figure(figsize=(_WIDTH, 5.0), layout="constrained")
-    axis = figure.subplots()
+    """Error of one row at one noise level against density: every variant, its expected line dotted, and the paper."""
+    figure, axis = _one_panel(5.0)
     for k, (name, table) in enumerate(tables.items()):
         part = table[(table.label == label) & (table.sigma2 == sigma2)].sort_values("density")
-        axis.errorbar(
-            part.density,
-            part["mean"],
-            [part["mean"] - part.low, part.high - part["mean"]],
-            color=f"C{k}",
-            marker="o",
-            capsize=3,
-            label=name,
-        )
+        around = [part["mean"] - part.low, part.high - part["mean"]]
+        axis.errorbar(part.density, part["mean"], around, color=f"C{k}", marker="o", capsize=3, label=name)
         axis.plot(part.density, part.expected, ":", color=f"C{k}")
     axis.plot(part.density, part.paper, "kx", ms=8, mew=2, label="the paper")
     axis.set(xlabel="share of the pairs that are observed", ylabel="Frobenius error", xticks=part.density)
@@ -69,20 +61,18 @@ def density(tables: dict[str, pd.DataFrame], label: str = "MLE (2)", sigma2: flo
 
 def convergence(frame: pd.DataFrame) -> Figure:
     """Error against iteration, mean over seeds: MLE (2) solid, MLE (1) dashed, what was observed dotted; colour: σ²."""
-    figure = Figure(figsize=(_WIDTH, 4.0), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = _one_panel(4.0)
     last, drawn = 40, []
     for label, style in (("way of MLE (2)", "-"), ("way of MLE (1)", "--")):
         rows = frame[(frame.label == label) & (frame.metric == "error_at_step") & (frame["at"] <= last)]
         for sigma2, part in rows.groupby("sigma2"):
-            ways = part.pivot_table(index="at", columns="seed", values="value")
-            mean = ways.reindex(range(last + 1)).ffill().mean(axis=1)  # who has arrived stays there
+            traces = part.pivot_table(index="at", columns="seed", values="value")
+            mean = traces.reindex(range(last + 1)).ffill().mean(axis=1)  # who has arrived stays there
             drawn += [mean.min(), mean.max() if style == "-" else mean.min()]  # a start off the group is far away
-            named = f"σ² = {sigma2:g}" if style == "-" else None
-            axis.plot(mean.index, mean, style, color=_of_noise(sigma2), label=named)
+            axis.plot(mean.index, mean, style, **_of_noise(sigma2, style))
     observed = frame[(frame.label == "observed") & (frame.metric == "edge_error") & frame.density.isna()]
     for sigma2, part in observed.groupby("sigma2"):
-        axis.plot([0, last], [part.value.mean()] * 2, ":", color=_of_noise(sigma2), lw=1.2)
+        axis.plot([0, last], [part.value.mean()] * 2, ":", lw=1.2, **_of_noise(sigma2, ":"))
         drawn.append(part.value.mean())
     axis.set(xlabel="iteration", ylabel="Frobenius error", xlim=(0, last))
     axis.set_ylim(min(drawn, default=0.0) - 0.2, max(drawn, default=1.0) + 0.2)
@@ -92,16 +82,14 @@ def convergence(frame: pd.DataFrame) -> Figure:
 
 def oracle(frame: pd.DataFrame) -> Figure:
     """Oracle accuracy against the number of draws: MC (2) solid, the Haar baseline dotted; complete graph of four."""
-    figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = _one_panel(3.6)
     rows = frame[(frame.metric == "accuracy_at_draws") & (frame.n_nodes == 4) & frame.density.fillna(1.0).eq(1.0)]
     rows = rows[~rows.two_way.eq(True)]
     both = set(rows[rows.label == "MC (2)"].sigma2) & set(rows[rows.label == "haar-baseline"].sigma2)
     for label, style in (("MC (2)", "-"), ("haar-baseline", ":")):
         for sigma2, part in rows[(rows.label == label) & rows.sigma2.isin(both)].groupby("sigma2"):
             mean = part.groupby("at")["value"].mean()
-            named = f"σ² = {sigma2:g}" if style == "-" else None
-            axis.semilogx(mean.index, mean, style, color=_of_noise(sigma2), label=named)
+            axis.semilogx(mean.index, mean, style, **_of_noise(sigma2, style))
     axis.set(xlabel="number of draws", ylabel="oracle accuracy")
     figure.legend(loc="outside lower center", ncols=3, fontsize=10)
     return figure
@@ -114,12 +102,11 @@ def error_against_seconds(board: pd.DataFrame) -> Figure:
     sees the truth, is left out.
     """
     rows = board[board.cpu.notna() & (board.rms > 0)]
-    kinds = list(rows.groupby("problem", sort=False))
-    heights = [0.6 + 0.21 * max(len(part), 7) for _, part in kinds]
+    kinds = dict(iter(rows.groupby("problem", sort=False)))
+    heights = [0.6 + 0.21 * max(len(part), 7) for part in kinds.values()]
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.5), layout="constrained")
     axes = figure.subplots(len(kinds), 1, squeeze=False, height_ratios=heights)[:, 0]
-    titles = _differences([problem for problem, _ in kinds])
-    for axis, (_, drawn), title in zip(axes, kinds, titles):
+    for axis, drawn, title in zip(axes, kinds.values(), _differences(list(kinds))):
         axis.plot(drawn.cpu, drawn.rms, "o")
         axis.set(xscale="log", yscale="log" if drawn.rms.max() > 4 * drawn.rms.min() else "linear")
         for one, values in ((axis.xaxis, drawn.cpu), (axis.yaxis, drawn.rms)):
@@ -135,49 +122,50 @@ def error_against_seconds(board: pd.DataFrame) -> Figure:
         axis.set_ylabel("rms error", fontsize=11)
     axes[-1].set_xlabel("CPU seconds", fontsize=11)
     figure.draw_without_rendering()  # the places of the names are known only now
-    for axis, (_, drawn) in zip(axes, kinds):
+    for axis, drawn in zip(axes, kinds.values()):
         _name_at_the_right(axis, drawn.label, drawn.cpu, drawn.rms)
     return figure
 
 
 def point_curves(frame: pd.DataFrame) -> Figure:
     """Share of vertices that land within a distance of their place, for every method of the rows given."""
-    rows = frame[frame.metric == "point_curve"]
-    curves = rows.groupby(["label", "at"])["value"].mean().unstack("at")
+    curves = frame[frame.metric == "point_curve"].groupby(["label", "at"])["value"].mean().unstack("at")
     middle = curves.columns[len(curves.columns) // 3]
     curves = curves.sort_values(middle, ascending=False)  # the legend reads from the highest curve to the lowest
-    figure = Figure(figsize=(_WIDTH, 3.6 + 0.11 * len(curves)), layout="constrained")
-    axis = figure.subplots()
+    figure, axis = _one_panel(3.6 + 0.11 * len(curves))
     for k, (label, curve) in enumerate(curves.iterrows()):
-        shade = 0.9 * (1 - k / max(len(curves) - 1, 1))
-        style = {
-            "color": mpl.colormaps["viridis"](shade),
-            "ls": "-" if k % 2 else "--",
-            "marker": _MARKERS[k % len(_MARKERS)],
-        }
+        colour = mpl.colormaps["viridis"](0.9 * (1 - k / max(len(curves) - 1, 1)))
+        style = {"color": colour, "ls": "-" if k % 2 else "--", "marker": _MARKERS[k % len(_MARKERS)]}
         axis.plot(curve.index, curve, label=str(label), lw=1.2, ms=4, markevery=(k % 4, 4), **style)
     axis.set(xlabel="geodesic distance, in square roots of the area", ylabel="share of vertices", ylim=(0, 1))
     figure.legend(loc="outside lower center", ncols=2, fontsize=10)
     return figure
 
 
-def _of_noise(sigma2: float) -> tuple:
-    return mpl.colormaps["viridis"](0.95 * min(sigma2, 1.0))
+def _one_panel(height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def _of_noise(sigma2: float, style: str) -> dict:
+    """Colour of a noise level, and its entry in the legend, where solid lines stand for all."""
+    colour = mpl.colormaps["viridis"](0.95 * min(sigma2, 1.0))
+    return {"color": colour, "label": f"σ² = {sigma2:g}" if style == "-" else None}
 
 
 def _differences(problems: list[str]) -> list[str]:
     """What is different between problems, as titles."""
     values = [json.loads(problem) for problem in problems]
-    names = [name for name in dict.fromkeys(name for one in values for name in one)]
+    names = dict.fromkeys(name for one in values for name in one)
     told = [name for name in names if len({json.dumps(one.get(name)) for one in values}) > 1]
     spoken = {"sigma2": "σ²", "n_nodes": "shapes", "kappa": "κ"}
+
+    def short(value: object) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
     return [
-        ", ".join(f"{spoken.get(n, n)} = {_short(one[n])}" for n in told if one.get(n) is not None) for one in values
+        ", ".join(f"{spoken.get(n, n)} = {short(one[n])}" for n in told if one.get(n) is not None) for one in values
     ]
-
-
-def _short(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _name_at_the_right(axis: Axes, names, x, y) -> None:
@@ -188,14 +176,9 @@ def _name_at_the_right(axis: Axes, names, x, y) -> None:
     apart = gap * np.arange(len(own))
     places = np.maximum.accumulate(own[order, 1] - apart) + apart
     places = np.maximum(places - max(0.0, places.max(initial=0.0) - 1.0), apart)  # within the axes
-    for (name, a, b), place in zip([list(zip(names, x, y))[k] for k in order], places):
-        axis.annotate(
-            str(name),
-            (a, b),
-            xytext=(1.06, place),
-            textcoords="axes fraction",
-            va="center",
-            fontsize=10,
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.6, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)},
-        )
+    points = list(zip(names, x, y))
+    arrow = {"arrowstyle": "-", "color": "0.6", "lw": 0.6, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
+    beside = {"textcoords": "axes fraction", "va": "center", "fontsize": 10, "annotation_clip": False}
+    for k, place in zip(order, places):
+        name, *point = points[k]
+        axis.annotate(str(name), point, xytext=(1.06, place), arrowprops=arrow, **beside)

@@ -1,6 +1,6 @@
 """Problems of the benchmark suites, made from plain parameters and a seed.
 
-A suite names a function of this file, such as ``bench.problems:rotations``; fmsync imports it while it runs.
+A suite names a function of this file, such as ``bench.problems:rotations``; imported while it runs.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from data_gen.noise import perturb
 from data_gen.truth import GroundTruth, ground_truth
 from data_gen.truth import planted as planted_rotations
 from fmsync import bounds, laplace_beltrami
+from fmsync.shape import Basis, Shape
 
 _MOST_NODES = 1500  # beyond it the factor of a random graph's Laplacian is dense, and there are no reference lines
 _ONE_EDGE = np.array([[0, 1]])
@@ -44,7 +45,7 @@ def rotations(
     """
     for_graph, for_truth, for_noise = _streams(seed)
     truth = planted_rotations(n_nodes, n, random_graph(n_nodes, density, for_graph), for_truth)
-    return _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers)
+    return _observed(truth, for_noise, sigma2=sigma2, kappa=kappa, noise=noise, two_way=two_way, outliers=outliers)
 
 
 def shapes(
@@ -61,7 +62,6 @@ def shapes(
     around: str = "consistent",
     two_way: bool = False,
     outliers: float = 0.0,
-    outlier_kind: str = "haar",
     points: int = 0,
 ) -> Planted:
     """Functional maps between ``n_nodes`` random shapes of a collection, in the paper's protocol.
@@ -77,31 +77,24 @@ def shapes(
         maps can be scored.
     """
     for_graph, for_choice, for_noise = _streams(seed)
-    files = _stamps(collection)
-    loaded, bases = _collection(collection, n_vertices, n, files)
+    source = collection, n_vertices, _stamps(collection)
+    loaded, bases = _loaded(*source), _bases(*source, n)
     if n_nodes > len(loaded):
         raise ValueError(f"n_nodes: {n_nodes} shapes of a collection of {len(loaded)}")
     chosen = np.sort(for_choice.permutation(len(loaded))[:n_nodes])
-    truth = ground_truth(
-        [loaded[k] for k in chosen], random_graph(n_nodes, density, for_graph), n, bases=[bases[k] for k in chosen]
-    )
-    if outlier_kind == "flip":
-        raise ValueError("outlier_kind: 'flip' needs a collection with a mirror map; use 'haar'")
-    planted = _observed(truth, for_noise, sigma2, kappa, noise, two_way, outliers, around)
+    graph = random_graph(n_nodes, density, for_graph)
+    truth = ground_truth([loaded[k] for k in chosen], graph, n, bases=[bases[k] for k in chosen])
+    protocol = {"sigma2": sigma2, "kappa": kappa, "noise": noise, "two_way": two_way, "outliers": outliers}
+    planted = _observed(truth, for_noise, around=around, **protocol)
     if not points:
         return planted
+    distances = tuple(_distances(*source, int(k), points) for k in chosen)
     scored = thinned(loaded[0].n_vertices, points)
-    distances = tuple(_distances(collection, n_vertices, int(k), points, files) for k in chosen)
     return Planted(planted.problem, planted.truth, planted.references, truth.bases, scored, distances)
 
 
 def data_files(problem: Mapping[str, object]) -> list[Path]:
-    """Files that a problem is read from, part of what its runs are: none for what is made by this package alone.
-
-    Raises
-    ------
-    ValueError
-        The collection is not on this machine.
+    """Files that a problem is read from, none for what is made by this package alone; ValueError if they are missing.
 
     Examples
     --------
@@ -117,13 +110,13 @@ def _streams(seed: int) -> list[np.random.Generator]:
     return [np.random.default_rng([int(seed), k]) for k in range(3)]
 
 
-def _observed(truth: GroundTruth, rng, sigma2, kappa, noise, two_way, outliers, around="consistent") -> Planted:
-    problem = perturb(truth, sigma2, rng, noise=noise, kappa=kappa, two_way=two_way, outliers=outliers, around=around)
-    return Planted(problem, truth.absolute, _references(problem, sigma2, kappa, noise, outliers))
+def _observed(truth: GroundTruth, rng: np.random.Generator, **protocol) -> Planted:
+    problem = perturb(truth, rng=rng, **protocol)
+    return Planted(problem, truth.absolute, _references(problem, **protocol))
 
 
-def _references(problem, sigma2, kappa, noise, outliers) -> dict[str, float]:
-    """Root mean squares over the edges of the error floor and of the expected error, where theory knows them."""
+def _references(problem, sigma2, kappa, noise, outliers, **_) -> dict[str, float]:
+    """Root mean squares over the edges of the lower bound and of the expected error, where theory knows them."""
     if outliers or not (sigma2 or kappa) or problem.n_nodes > _MOST_NODES:
         return {}
     n_nodes, n = problem.n_nodes, problem.n
@@ -150,25 +143,29 @@ def _expected_on_one_edge(n: int, sigma2: float) -> float:
 
 def _stamps(collection: str) -> tuple:
     """Paths, times and sizes of the files of a collection: what is kept of it is not used once they have changed."""
-    return tuple(
-        (file, file.stat().st_mtime_ns, file.stat().st_size) for file in data_files({"collection": collection})
-    )
+    files = data_files({"collection": collection})
+    return tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in files)
 
 
 @lru_cache(maxsize=4)
-def _collection(name: str, n_vertices: int, n: int, stamps: tuple):
-    loaded = load_collection(name, n_vertices=n_vertices) if name == "cats" else load_collection(name)
-    return loaded, [laplace_beltrami(shape.vertices, shape.faces, n) for shape in loaded]
+def _loaded(name: str, n_vertices: int, stamps: tuple) -> list[Shape]:
+    return load_collection(name, n_vertices=n_vertices) if name == "cats" else load_collection(name)
+
+
+@lru_cache(maxsize=4)
+def _bases(name: str, n_vertices: int, stamps: tuple, n: int) -> list[Basis]:
+    return [laplace_beltrami(s.vertices, s.faces, n) for s in _loaded(name, n_vertices, stamps)]
 
 
 @lru_cache(maxsize=16)
-def _distances(name: str, n_vertices: int, k: int, points: int, stamps: tuple) -> np.ndarray:
-    """(P, V) heat-method geodesic distances from some vertices of a shape, in square roots of its area, float32."""
+def _distances(name: str, n_vertices: int, stamps: tuple, k: int, points: int) -> np.ndarray:
+    shape = _loaded(name, n_vertices, stamps)[k]
+    return geodesics_from(shape, thinned(shape.n_vertices, points))
+
+
+def geodesics_from(shape: Shape, sources: np.ndarray) -> np.ndarray:
+    """(P, V) heat-method distances from some vertices of a shape to all, in square roots of its area, float32."""
     import potpourri3d
 
-    shape = load_collection(name, n_vertices=n_vertices)[k] if name == "cats" else load_collection(name)[k]
-    corners = shape.vertices[shape.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     solver = potpourri3d.MeshHeatMethodDistanceSolver(shape.vertices, shape.faces)
-    sources = thinned(len(shape.vertices), points)
-    return np.stack([(solver.compute_distance(v) / np.sqrt(area)).astype(np.float32) for v in sources])
+    return np.stack([(solver.compute_distance(int(v)) / np.sqrt(shape.area)).astype(np.float32) for v in sources])

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bench import results
+from bench import figures, results
 from bench.metrics import root_mean_square
 from fmsync.bounds import recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
 _MOST_PANELS = 6
-_SCORES = ("edge_error", "seconds", "cpu_seconds", "peak_memory")
+_SHORT = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
+_BOARD = ["problem", "label", "error", "low", "high", "rms", "seconds", "cpu", "memory", "failed", "floor", "expected"]
 
 
 def paper_table() -> pd.DataFrame:
@@ -30,14 +31,14 @@ def paper_table() -> pd.DataFrame:
 
 
 def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, around: str = "consistent") -> pd.DataFrame:
-    """Results of the suite ``paper`` in one reading of its protocol, beside the printed cells.
+    """Results of the suite ``paper`` in one variant of its protocol, beside the printed cells.
 
     Parameters
     ----------
     frame
         Rows of :func:`bench.results.read`.
     n_nodes, two_way, around
-        The reading: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured maps.
+        The variant: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured maps.
 
     Returns
     -------
@@ -45,13 +46,12 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
         label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
         agrees (whether the printed number lies in the interval), floor and expected (root mean squares), recoverable
         (whether σ² is below the heuristic threshold, beyond which the floor is not valid).
-
-    Raises
-    ------
-    ValueError
-        There are no such results.
     """
-    chosen = _reading(frame, n_nodes, two_way, around)
+    where = (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & frame.density.notna()
+    chosen = frame[where & (frame.around.fillna("consistent") == around)]
+    if chosen.empty:
+        variant = f"n_nodes={n_nodes}, two_way={two_way}, around={around!r}"
+        raise ValueError(f"no results for {variant}; make them with 'python -m bench run paper'")
     labels = [label for label in [*paper_table().label.unique(), *_OWN_ROWS] if label in set(chosen.label)]
     table = results.summarise(chosen[chosen.label.isin(labels)], ["label", "density", "sigma2"], "edge_error")
     table = table.merge(paper_table(), how="left", on=["label", "density", "sigma2"])
@@ -65,28 +65,27 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
 
 
-def readings(frame: pd.DataFrame) -> list[dict]:
-    """The readings of the protocol for which there are results, as arguments of :func:`table1`."""
-    rows = frame[frame.label.isin(["MLE (1)", "MLE (2)"])][["n_nodes", "two_way", "around"]].drop_duplicates()
+def protocol_variants(frame: pd.DataFrame) -> list[dict]:
+    """The variants of the protocol for which there are results, as arguments of :func:`table1`."""
+    rows = frame[frame.label.isin(["MLE (1)", "MLE (2)"])][["n_nodes", "two_way", "around"]]
     rows = rows.assign(two_way=rows.two_way.eq(True), around=rows.around.fillna("consistent"))  # absent: the default
-    found = [{"n_nodes": int(n), "two_way": bool(t), "around": a} for n, t, a in rows.itertuples(index=False)]
-    return [dict(reading) for reading in dict.fromkeys(tuple(reading.items()) for reading in found)]
+    return rows.drop_duplicates().astype({"n_nodes": int}).to_dict("records")
 
 
-def reading_name(n_nodes: int, two_way: bool, around: str) -> str:
-    """A reading of the protocol in words.
+def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
+    """A variant of the protocol in words.
 
     Examples
     --------
-    >>> from bench.report import reading_name
-    >>> reading_name(4, False, "consistent")
+    >>> from bench.report import variant_name
+    >>> variant_name(4, False, "consistent")
     'N = 4, one observation of a pair, noise around consistent maps'
     """
     observations = "two observations" if two_way else "one observation"
     return f"N = {n_nodes}, {observations} of a pair, noise around {around} maps"
 
 
-def standings(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+def relative_performance(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Every method on every suite: its error over that of the best method, the geometric mean over the problems.
 
     Parameters
@@ -114,133 +113,99 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        problem, label, error (mean over seeds), low, high, rms (as floor and expected are), seconds and cpu (medians), memory (median, MB), failed (cells
-        that gave no answer), floor and expected where theory knows them.
-    """  # noqa: E501
-    scalar = frame[frame["at"].isna()]
-    keys = ["problem", "label"]
+        problem, label, error (mean over seeds), low, high, rms (as floor and expected are), seconds and cpu (medians),
+        memory (median, MB), failed (runs without an answer), floor and expected where theory knows them.
+    """
+    scalar, keys = frame[frame["at"].isna()], ["problem", "label"]
+
+    def values(by: list[str], *names: str) -> pd.DataFrame:
+        rows = scalar[scalar.metric.isin(names)]
+        return rows.groupby([*by, "metric"])["value"].agg(summaries[names[0]]).unstack("metric").reset_index()
+
+    summaries = {"seconds": "median", "edge_rms": root_mean_square, "floor_rms": "mean"}
+    runs = frame.drop_duplicates([*keys, "seed"])
+    failed = (runs.status != "ok").groupby([runs.problem, runs.label]).sum().rename("failed").reset_index()
     errors = results.summarise(scalar, keys, "edge_error").rename(columns={"mean": "error"})
-    medians = scalar[scalar.metric.isin(_SCORES[1:])].pivot_table(
-        index=keys, columns="metric", values="value", aggfunc="median"
-    )
-    squares = scalar[scalar.metric == "edge_rms"].groupby(keys)["value"].agg(root_mean_square).rename("rms")
-    lines = scalar[scalar.metric.isin(["floor_rms", "expected_rms"])].pivot_table(
-        index="problem", columns="metric", values="value"
-    )
-    cells = frame.drop_duplicates([*keys, "seed"])
-    failed = (cells.status != "ok").groupby([cells.problem, cells.label]).sum().rename("failed").reset_index()
-    table = failed.merge(errors, how="left", on=keys).merge(medians.reset_index(), how="left", on=keys)
-    table = table.merge(squares.reset_index(), how="left", on=keys).merge(lines.reset_index(), how="left", on="problem")
-    names = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
-    table = table.rename(columns=names)
-    order = [
-        "problem",
-        "label",
-        "error",
-        "low",
-        "high",
-        "rms",
-        "seconds",
-        "cpu",
-        "memory",
-        "failed",
-        "floor",
-        "expected",
-    ]
-    return table.reindex(columns=order).sort_values(["problem", "error"], ignore_index=True)
+    table = failed.merge(errors, how="left", on=keys)
+    table = table.merge(values(keys, "seconds", "cpu_seconds", "peak_memory"), how="left", on=keys)
+    table = table.merge(values(keys, "edge_rms").rename(columns={"edge_rms": "rms"}), how="left", on=keys)
+    table = table.merge(values(["problem"], "floor_rms", "expected_rms"), how="left", on="problem")
+    return table.rename(columns=_SHORT).reindex(columns=_BOARD).sort_values(["problem", "error"], ignore_index=True)
 
 
 def report(frame: pd.DataFrame) -> str:
     """The tables of a suite as text."""
     lines = [_made_by(frame)]
-    if frame.suite.str.startswith("paper").all():
-        lines += [_text_of_table1(frame, reading) for reading in readings(frame)]
+    if _is_paper(frame):
+        lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
     else:
-        board = scoreboard(frame)
-        for problem, group in board.groupby("problem", sort=False):
-            lines.append(_named(problem))
+        for problem, group in scoreboard(frame).groupby("problem", sort=False):
             shown = group.drop(columns="problem").dropna(axis="columns", how="all")
-            lines.append(shown.to_string(index=False, float_format="{:.4g}".format))
+            lines += [_named(problem), shown.to_string(index=False, float_format="{:.4g}".format)]
     failed = frame[frame.status != "ok"]
     if len(failed):
-        lines.append(f"{len(failed)} cells gave no answer:")
-        lines += [
-            f"  {row.status}: {row.label} {_named(row.problem)} seed {row.seed}: {row.detail}"
-            for row in failed.head(20).itertuples()
-        ]
+        lines.append(f"{len(failed)} runs gave no answer:")
+        for row in failed.head(20).itertuples():
+            lines.append(f"  {row.status}: {row.label} {_named(row.problem)} seed {row.seed}: {row.detail}")
     return "\n\n".join(lines)
-
-
-def _reading(frame: pd.DataFrame, n_nodes: int, two_way: bool, around: str) -> pd.DataFrame:
-    where = frame.around.fillna("consistent")
-    chosen = frame[
-        (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & (where == around) & frame.density.notna()
-    ]
-    if chosen.empty:
-        reading = f"n_nodes={n_nodes}, two_way={two_way}, around={around!r}"
-        raise ValueError(f"no results for {reading}; make them with 'python -m bench run paper'")
-    return chosen
-
-
-def _text_of_table1(frame: pd.DataFrame, reading: dict) -> str:
-    table = table1(frame, **reading)
-    head = (
-        f"{reading_name(**reading)}\n"
-        "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery threshold"
-    )
-    cells = {}
-    for row in table.itertuples():
-        text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
-        if pd.notna(row.paper):
-            text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
-        cells[(row.label, row.density, f"{row.sigma2:g}{'' if row.recoverable else chr(39)}")] = text
-    for name in ("floor", "expected"):
-        for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
-            key = (f"{name} (rms)", row.density, f"{row.sigma2:g}{'' if row.recoverable else chr(39)}")
-            cells[key] = f"{getattr(row, name):.2f}"
-    wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
-    return f"{head}\n{wide.to_string()}"
-
-
-def _made_by(frame: pd.DataFrame) -> str:
-    def joined(name):
-        return "; ".join(sorted(value for value in frame[name].dropna().unique() if value))
-
-    seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
-    return (
-        f"suite {frame.suite.iloc[0]}: {seeds.sum()} cells, {seeds.min()} to {seeds.max()} seeds\n"
-        f"commit {joined('commit')}\nmachine {joined('machine')}\n{joined('versions')}"
-    )
-
-
-def _named(problem: str) -> str:
-    return ", ".join(f"{name}={value}" for name, value in json.loads(problem).items())
 
 
 def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
     """Draw the figures of a suite as PNG files into a folder; gives their paths."""
-    from bench import figures
-
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = {}
-    if frame.suite.str.startswith("paper").all():
-        drawn = {f"table1_{_slug(reading)}": figures.errors(table1(frame, **reading)) for reading in readings(frame)}
-        tables = {reading_name(**reading): table1(frame, **reading) for reading in readings(frame)}
+    if _is_paper(frame):
+        variants = protocol_variants(frame)
+        tables = {variant_name(**v): table1(frame, **v) for v in variants}
+        slugs = [f"{v['n_nodes']}_{'two' if v['two_way'] else 'one'}_{v['around']}" for v in variants]
+        drawn = {f"table1_{slug}": figures.errors(table) for slug, table in zip(slugs, tables.values())}
         drawn |= {"density": figures.density(tables)}
         drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
     else:
         board = scoreboard(frame)
         first = board.problem.drop_duplicates()[:_MOST_PANELS]
-        drawn["scoreboard"] = figures.error_against_seconds(board[board.problem.isin(first)])
+        drawn = {"scoreboard": figures.error_against_seconds(board[board.problem.isin(first)])}
         if frame.metric.eq("point_curve").any():
             drawn["points"] = figures.point_curves(frame)
-    paths = []
-    for name, figure in drawn.items():
-        paths.append(folder / f"{frame.suite.iloc[0]}_{name}.png")
-        figure.savefig(paths[-1])
-    return paths
+    paths = {folder / f"{frame.suite.iloc[0]}_{name}.png": figure for name, figure in drawn.items()}
+    for path, figure in paths.items():
+        figure.savefig(path)
+    return list(paths)
 
 
-def _slug(reading: dict) -> str:
-    return f"{reading['n_nodes']}_{'two' if reading['two_way'] else 'one'}_{reading['around']}"
+def _is_paper(frame: pd.DataFrame) -> bool:
+    return bool(frame.suite.str.startswith("paper").all())
+
+
+def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
+    table = table1(frame, **variant)
+    table["noise"] = table.sigma2.map("{:g}".format) + table.recoverable.map({True: "", False: "'"})
+    cells = {}
+    for row in table.itertuples():
+        text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
+        if pd.notna(row.paper):
+            text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
+        cells[row.label, row.density, row.noise] = text
+    for name in ("floor", "expected"):
+        for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
+            cells[f"{name} (rms)", row.density, row.noise] = f"{getattr(row, name):.2f}"
+    wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
+    return (
+        f"{variant_name(**variant)}\nours [95 % interval] / paper; "
+        f"* = the printed number lies in the interval; ' = beyond the recovery threshold\n{wide.to_string()}"
+    )
+
+
+def _made_by(frame: pd.DataFrame) -> str:
+    commit, machine, versions = (
+        "; ".join(sorted(filter(None, frame[name].dropna().unique()))) for name in ("commit", "machine", "versions")
+    )
+    seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
+    return (
+        f"suite {frame.suite.iloc[0]}: {seeds.sum()} runs, {seeds.min()} to {seeds.max()} seeds\n"
+        f"commit {commit}\nmachine {machine}\n{versions}"
+    )
+
+
+def _named(problem: str) -> str:
+    return ", ".join(f"{name}={value}" for name, value in json.loads(problem).items())

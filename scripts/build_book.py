@@ -15,19 +15,18 @@ from pathlib import Path
 from jupyter_cache import get_cache
 from jupyter_cache.base import CacheBundleIn
 from jupyter_cache.executors.utils import single_nb_execution
-from myst_nb.core.read import read_myst_markdown_notebook
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
-from fmsync_status import pages, surroundings  # noqa: E402
+from fmsync_book import cache_folder  # noqa: E402
+from fmsync_status import notebook_of, pages, surroundings  # noqa: E402
 
 _KEPT_CACHES = 4  # with and without the TOSCA cats, and the two before
 
 
 def execute(page: Path, folder: Path) -> str | None:
     """Run one page unless its outputs are in the cache; gives the traceback of the cell that failed, or None."""
-    notebook = read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
-    cache = get_cache(str(folder))
+    notebook, cache = notebook_of(page), get_cache(str(folder))
     try:
         cache.match_cache_notebook(notebook)
         return None
@@ -38,8 +37,7 @@ def execute(page: Path, folder: Path) -> str | None:
     if result.err:
         return f"{page.name} failed after {result.time:.1f} s\n{result.exc_string}"
     data = {"execution_seconds": result.time, "cpu_seconds": cpu_of_kernels() - before, **surroundings()}
-    bundle = CacheBundleIn(notebook, str(page), data=data)
-    cache.cache_notebook_bundle(bundle, check_validity=False, overwrite=True)
+    cache.cache_notebook_bundle(CacheBundleIn(notebook, str(page), data=data), check_validity=False, overwrite=True)
     print(f"executed {page.name} in {result.time:.1f} s", flush=True)
     return None
 
@@ -48,14 +46,6 @@ def cpu_of_kernels() -> float:
     """Seconds of processor time of the kernels that this process has seen end: it runs one page at a time."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
-
-
-def drop_old_caches(current: Path) -> None:
-    """Edits of the library leave caches behind; keep the latest few."""
-    current.mkdir(parents=True, exist_ok=True)
-    os.utime(current)
-    for old in sorted(current.parent.iterdir(), key=lambda p: p.stat().st_mtime)[:-_KEPT_CACHES]:
-        shutil.rmtree(old)
 
 
 def date_of_the_text() -> str | None:
@@ -85,13 +75,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="chapters executed at the same time")
     jobs = parser.parse_args().jobs
-    from fmsync_book import cache_folder
-
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the built pages share one viewer file
     if date := date_of_the_text():
         os.environ.setdefault("SOURCE_DATE_EPOCH", date)  # the same commit renders to the same bytes
     folder = cache_folder()
-    drop_old_caches(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    os.utime(folder)
+    for old in sorted(folder.parent.iterdir(), key=lambda p: p.stat().st_mtime)[:-_KEPT_CACHES]:
+        shutil.rmtree(old)  # edits of the library leave caches behind
     get_cache(str(folder)).db  # noqa: B018  creates the database before two processes would
     with tempfile.TemporaryDirectory() as profile, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         os.environ["IPYTHONDIR"] = quiet_profile(Path(profile))

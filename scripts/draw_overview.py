@@ -1,13 +1,10 @@
 """Draw the picture of the introduction from a real run: maps that disagree, maps that agree, and how sure they are.
 
-    python scripts/draw_overview.py
-
-writes three panels for the page and one picture of all three for the README into book/images. Eleven synthetic cats,
+Writes three panels for the page and one picture of all three for the README into book/images. Eleven synthetic cats,
 every pair observed once with the noise of the paper at σ² = 0.1; three cats are shown.
 """
 
 import io
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,94 +37,81 @@ class Story:
     shapes: list[fmsync.Shape]
     matrices: dict[str, list[np.ndarray]]  # of the pairs (0, 1), (1, 2), (2, 0) of the shown shapes
     colours: dict[str, list[np.ndarray]]  # (V, 3) for each shown shape
-    loop_error: dict[str, float]  # of the product around the triangle
     spread: np.ndarray  # (V,) of the last shape, √area
+
+    def loop_error(self, name: str) -> float:
+        """Distance of the product around the triangle from the identity."""
+        x, y, z = self.matrices[name]
+        return float(np.linalg.norm(x @ y @ z - np.eye(len(x))))
 
 
 def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> Story:
     """Plant, observe, solve and sample."""
     shapes = data_gen.load_collection("cats", n_vertices=n_vertices)
-    bases = [fmsync.laplace_beltrami(shape.vertices, shape.faces, 20) for shape in shapes]
-    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)), bases=bases)
+    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
     problem = data_gen.perturb(truth, sigma2=0.1, rng=1)
-    estimate = fmsync.solve(problem)
-    observed = {}
-    for (i, j), c in zip(problem.edges, problem.maps):
-        observed[i, j], observed[j, i] = c, c.T
+    observed = {tuple(edge): c for edge, c in zip(problem.edges.tolist(), problem.maps)}
+    observed |= {(j, i): c.T for (i, j), c in observed.items()}
     a, b, c = SHOWN
-    loop = [(a, b), (b, c), (c, a)]
-    matrices = {
-        "observed": [observed[pair] for pair in loop],
-        "synchronised": list(estimate.relative(np.array(loop))),
+    loop, to_first, estimate = [(a, b), (b, c), (c, a)], [(b, a), (c, a)], fmsync.solve(problem)
+    maps = {
+        "observed": lambda pairs: [observed[pair] for pair in pairs],
+        "synchronised": lambda pairs: list(estimate.relative(np.array(pairs))),
     }
     home = viz.colours_from_coordinates(shapes[a].vertices)
-    carry = {"observed": {k: observed[k, a] for k in (b, c)}}
-    carry["synchronised"] = dict(zip((b, c), estimate.relative(np.array([(b, a), (c, a)]))))
     colours = {
-        name: [home] + [home[fmsync.point_map(maps[k], truth.bases[k], truth.bases[a])] for k in (b, c)]
-        for name, maps in carry.items()
+        name: [home] + [home[fmsync.point_map(m, truth.bases[k], truth.bases[a])] for k, m in zip((b, c), of(to_first))]
+        for name, of in maps.items()
     }
-    loop_error = {name: float(np.linalg.norm(x @ y @ z - np.eye(20))) for name, (x, y, z) in matrices.items()}
-
-    posterior = fmsync.sample(
-        problem, "heat-bath", likelihood="projected-gaussian", n_chains=2, n_draws=n_draws, thin=3, warmup=warmup
-    )
+    options = {"n_chains": 2, "n_draws": n_draws, "thin": 3, "warmup": warmup}
+    posterior = fmsync.sample(problem, "heat-bath", likelihood="projected-gaussian", **options)
     draws = posterior.relative([[c, a]])[:, :: max(1, n_draws // 50)].reshape(-1, 20, 20)  # a hundred will do
     there = shapes[a].normalised().vertices
     images = np.stack([there[fmsync.point_map(d, truth.bases[c], truth.bases[a])] for d in draws])  # (T, V, 3)
     spread = np.sqrt(((images - images.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
-    return Story([shapes[k] for k in SHOWN], matrices, colours, loop_error, spread)
+    return Story([shapes[k] for k in SHOWN], {name: of(loop) for name, of in maps.items()}, colours, spread)
 
 
-def cat(shape: fmsync.Shape, values: np.ndarray, **options) -> np.ndarray:
-    """A drawn shape (height, width, 4), white turned into transparent, margins cut off."""
+def draw_cat(ax: Axes, shape: fmsync.Shape, values: np.ndarray, centre: tuple, size: float, **options) -> None:
+    """Draw a shape around a point, its longer side ``size``, white turned into transparent."""
     png = viz.scene([shape], [values], [""], alt="a cat", **options).png
     picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA")).copy()
     white = (picture[..., :3] > 250).all(axis=2)
     picture[white, 3] = 0
     rows, columns = np.flatnonzero(~white.all(axis=1)), np.flatnonzero(~white.all(axis=0))
-    return picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def place(ax: Axes, picture: np.ndarray, centre: tuple[float, float], size: float) -> None:
-    """Draw a picture around a point, its longer side ``size``."""
-    height, width = picture.shape[:2]
-    w, h = (size, size * height / width) if width > height else (size * width / height, size)
+    picture = picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    height, width = size * np.array(picture.shape[:2]) / max(picture.shape[:2])
     x, y = centre
-    ax.imshow(picture, extent=(x - w / 2, x + w / 2, y - h / 2, y + h / 2), interpolation="antialiased", zorder=3)
+    extent = (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+    ax.imshow(picture, extent=extent, interpolation="antialiased", zorder=3)
 
 
 def triangle(ax: Axes, story: Story, name: str) -> None:
     """Three cats, the maps between them, and whether the way around closes."""
     for shape, colours, centre in zip(story.shapes, story.colours[name], _PLACES):
-        place(ax, cat(shape, colours), centre, 0.4)
+        draw_cat(ax, shape, colours, centre, 0.4)
     for k, matrix in enumerate(story.matrices[name]):
         (x0, y0), (x1, y1) = _PLACES[k], _PLACES[(k + 1) % 3]
         ax.plot((x0, x1), (y0, y1), color="#c3cad1", lw=1.5, zorder=1)
         x, y, half = (x0 + x1) / 2, (y0 + y1) / 2, 0.085
         ax.imshow(matrix, cmap="RdBu", clim=(-1, 1), extent=(x - half, x + half, y - half, y + half), zorder=4)
         ax.add_patch(plt.Rectangle((x - half, y - half), 2 * half, 2 * half, fill=False, ec=_INK, lw=0.8, zorder=5))
-    closes = name == "synchronised"
+    closes = r"$= I$" if name == "synchronised" else r"$\neq I$"
     ax.text(0.5, 0.46, "↻", ha="center", va="center", fontsize=32, color=_INK, family="DejaVu Sans")
-    ax.text(0.5, 0.355, "$= I$" if closes else r"$\neq I$", ha="center", va="center", fontsize=20, color=_INK)
-
-
-def sure(ax: Axes, story: Story) -> None:
-    """The last cat, coloured by how far the draws send each vertex apart."""
-    limit = float(np.quantile(story.spread, 0.98))
-    place(ax, cat(story.shapes[-1], story.spread, clim=(0, limit), flat=True), (0.5, 0.56), 0.8)
-    ramp = np.linspace(0, 1, 256)[None]
-    ax.imshow(ramp, cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
-    ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
-    ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
+    ax.text(0.5, 0.355, closes, ha="center", va="center", fontsize=20, color=_INK)
 
 
 def panel(story: Story, which: int, ax: Axes) -> None:
-    """Draw one of the three panels."""
+    """Draw one of the three panels; the last is a cat coloured by how far the draws send each vertex apart."""
     ax.set_axis_off()
-    (lambda: triangle(ax, story, "observed"), lambda: triangle(ax, story, "synchronised"), lambda: sure(ax, story))[
-        which
-    ]()
+    if which < 2:
+        triangle(ax, story, ("observed", "synchronised")[which])
+    else:
+        limit = float(np.quantile(story.spread, 0.98))
+        draw_cat(ax, story.shapes[-1], story.spread, (0.5, 0.56), 0.8, clim=(0, limit), flat=True)
+        ax.imshow(np.linspace(0, 1, 256)[None], cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
+        ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
+        ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
     ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
 
 
@@ -139,23 +123,15 @@ def save(fig: Figure, path: Path) -> None:
     Image.open(raw).convert("RGB").save(path, optimize=True)
 
 
-def main() -> int:
-    story = compute()
-    IMAGES.mkdir(exist_ok=True)
-    for which in range(3):
+if __name__ == "__main__":
+    told = compute()
+    for k in range(3):
         fig = plt.figure(figsize=(3.6, 3.6), dpi=160)
-        panel(story, which, fig.add_axes((0, 0, 1, 1)))
-        save(fig, IMAGES / f"overview-{which + 1}.png")
+        panel(told, k, fig.add_axes((0, 0, 1, 1)))
+        save(fig, IMAGES / f"overview-{k + 1}.png")
     fig, axes = plt.subplots(1, 3, figsize=(9.6, 3.7), dpi=96, layout="none")
     fig.subplots_adjust(0, 0.12, 1, 1, 0.02, 0)
-    for which, (ax, caption) in enumerate(zip(axes, _CAPTIONS)):
-        panel(story, which, ax)
-        ax.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
+    for k, (axis, caption) in enumerate(zip(axes, _CAPTIONS)):
+        panel(told, k, axis)
+        axis.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
     save(fig, IMAGES / "overview.png")
-    around = ", ".join(f"{name} {error:.2f}" for name, error in story.loop_error.items())
-    print(f"distance from the identity once around the triangle: {around}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

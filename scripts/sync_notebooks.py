@@ -28,9 +28,10 @@ _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?:doc|ref|prf:ref|numref|eq|cite[\w:]*|term)\}`(?:([^`<]+?)\s*<[^`>]+>|([^`]+))`")
 
 
-def chapters(book: Path = BOOK) -> list[Path]:
-    """The executable pages: MyST files with a kernel."""
-    return [md for md in sorted(book.rglob("*.md")) if "kernelspec:" in md.read_text(encoding="utf-8")[:600]]
+def chapters(book: Path = BOOK) -> dict[str, Path]:
+    """The executable pages, MyST files with a kernel, by the name of their notebook."""
+    files = sorted(book.rglob("*.md"))
+    return {f"{md.stem}.ipynb": md for md in files if "kernelspec:" in md.read_text(encoding="utf-8")[:600]}
 
 
 def readable(text: str) -> str:
@@ -43,31 +44,28 @@ def readable(text: str) -> str:
     >>> readable("See {eq}`eq-geo` and {doc}`the next chapter <02_so_n>`.")
     'See (eq-geo) and the next chapter.'
     """
-    out: list[str] = []
-    open_fences: list[str] = []
-    in_options = False
+    out, open_fences, in_options = [], [], False
     for line in text.split("\n"):
-        start = _FENCE.match(line)
-        if start:
+        if start := _FENCE.match(line):
             open_fences.append(start["fence"])
-            name = start["name"].split(":")[-1].split("-")[0].capitalize()
-            title = start["title"].strip()
-            if start["name"] == "admonition":
-                name, title = title, ""
-            if start["name"] == "math":
-                name = ""
-            if not start["name"].endswith("-end") and name:
-                out += [f"**{name} ({title}).**" if title else f"**{name}.**", ""]
+            out += _heading(start["name"], start["title"].strip())
             in_options = True
         elif open_fences and line.strip() == open_fences[-1]:
             open_fences.pop()
             in_options = False
-        elif (in_options and _OPTION.match(line)) or re.fullmatch(r"\([\w:-]+\)=", line.strip()):
-            continue
-        else:
+        elif not (in_options and _OPTION.match(line)) and not re.fullmatch(r"\([\w:-]+\)=", line.strip()):
             in_options = False
             out.append(re.sub(r"^\$\$ \([\w:-]+\)$", "$$", line))
     return _ROLES.sub(_plain, "\n".join(out)).strip("\n")
+
+
+def _heading(directive: str, title: str) -> list[str]:
+    name = directive.split(":")[-1].split("-")[0].capitalize()
+    if directive == "admonition":
+        name, title = title, ""
+    if directive == "math" or directive.endswith("-end") or not name:
+        return []
+    return [f"**{name} ({title}).**" if title else f"**{name}.**", ""]
 
 
 def _plain(role: re.Match) -> str:
@@ -81,8 +79,7 @@ def repository() -> dict[str, str]:
 
 def render(md: Path) -> str:
     """The notebook of one chapter as the text of its .ipynb file."""
-    notebook = jupytext.read(md)
-    home = repository()
+    notebook, home = jupytext.read(md), repository()
     if home["url"]:
         notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
@@ -100,31 +97,27 @@ def render(md: Path) -> str:
 
 def stale(book: Path = BOOK) -> list[str]:
     """Names of notebooks that are missing, differ from their chapter, or have lost it."""
-    wanted = {md.stem + ".ipynb": render(md) for md in chapters(book)}
+    wanted = {name: render(md) for name, md in chapters(book).items()}
     found = {p.name: p.read_text(encoding="utf-8") for p in (book / "notebooks").glob("*.ipynb")}
     return sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
 
 
 def write(book: Path = BOOK) -> None:
     """Make the notebooks equal to the chapters."""
-    folder = book / "notebooks"
-    folder.mkdir(exist_ok=True)
-    wanted = {md.stem + ".ipynb": md for md in chapters(book)}
-    for old in folder.glob("*.ipynb"):
-        if old.name not in wanted:
-            old.unlink()
-    for name, md in wanted.items():
-        (folder / name).write_text(render(md), encoding="utf-8")
+    (book / "notebooks").mkdir(exist_ok=True)
+    for old in {p.name for p in (book / "notebooks").glob("*.ipynb")} - chapters(book).keys():
+        (book / "notebooks" / old).unlink()
+    for name, md in chapters(book).items():
+        (book / "notebooks" / name).write_text(render(md), encoding="utf-8")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="change nothing; exit 1 if a notebook is stale")
     if not parser.parse_args().check:
         write()
         return 0
-    bad = stale()
-    if bad:
+    if bad := stale():
         print("stale notebooks (run `make notebooks`):", *bad)
     return bool(bad)
 

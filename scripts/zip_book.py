@@ -1,13 +1,11 @@
 """Pack the rendered book into one file that opens from disk; the same pages give the same bytes."""
 
-import argparse
 import os
-import sys
 import time
 import zipfile
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+BUILD = Path(__file__).resolve().parents[1] / "_build"
 _EARLIEST = 315532800  # 1980, where the dates of zip files begin
 
 
@@ -32,15 +30,5 @@ def pack(html: Path, archive: Path, folder: str = "fmsync-book") -> int:
     return len(files)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--html", type=Path, default=ROOT / "_build" / "html", help="rendered pages")
-    parser.add_argument("--output", type=Path, default=ROOT / "_build" / "book.zip", help="the archive")
-    arguments = parser.parse_args()
-    count = pack(arguments.html, arguments.output)
-    print(f"{arguments.output}: {count} files, {arguments.output.stat().st_size / 1e6:.1f} MB; open index.html in it")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    print(f"{BUILD / 'book.zip'}: {pack(BUILD / 'html', BUILD / 'book.zip')} files; open index.html in it")

@@ -73,11 +73,11 @@ def test_every_chapter_is_in_the_contents_once():
 
 
 def test_status_tells_what_ran_and_what_did_not():
-    ran, missing = Path("ran.md"), Path("missing.md")
+    ran, missing = Path("chapters/ran.md"), Path("chapters/missing.md")
     data = {"execution_seconds": 90.2, "cpu_seconds": 60.0, "machine": "a machine", "shapes": "cats", "system": "Linux"}
-    lines = status.status_table({ran: data}, [(ran, "/ran"), (missing, "/missing")])
-    assert "| {doc}`/ran` | 90 | 60 | passed |" in lines
-    assert "| {doc}`/missing` | – | – | not run |" in lines
+    lines = status.status_table([ran, missing], {ran: data})
+    assert "| {doc}`/chapters/ran` | 90 | 60 | passed |" in lines
+    assert "| {doc}`/chapters/missing` | – | – | not run |" in lines
     assert "Together 1.0 CPU-minutes." in lines
     assert "- **Machine:** a machine" in lines
     assert any(line.startswith("- **Versions:** fmsync ") for line in lines)
@@ -136,7 +136,7 @@ def test_pictures_stay_small():
 @pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")  # a short chain will do here
 def test_the_picture_tells_the_truth():
     story = overview.compute(n_vertices=1000, n_draws=60, warmup=60)
-    assert story.loop_error["synchronised"] < 1e-9 < 1 < story.loop_error["observed"]
+    assert story.loop_error("synchronised") < 1e-9 < 1 < story.loop_error("observed")
     assert story.spread.shape == (story.shapes[-1].n_vertices,)
     assert (story.spread > 0).all()
     home = story.colours["observed"][0]

@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -72,28 +71,25 @@ class Method:
     kind: str = "function"
     sees_planted: bool = False
 
-    @cached_property
+    @property
     def module(self) -> str:
         """Module that holds the method's own file."""
         return self.function.__module__
 
-    @cached_property
+    @property
     def option_names(self) -> set[str] | None:
         """Options it takes; None when it passes on whatever it is given."""
-        signatures = [inspect.signature(self.function)]
+        own = inspect.signature(self.function).parameters
         if self.kind == "sampler":
-            signatures.append(inspect.signature(samplers.sample))
-        if self.kind == "estimator" and "init" in signatures[0].parameters:
-            return set(signatures[0].parameters) - _NOT_OPTIONS | {"restarts"}
-        if self.kind == "function" and any(p.kind is p.VAR_KEYWORD for p in signatures[0].parameters.values()):
+            return {*own, *inspect.signature(samplers.sample).parameters} - _NOT_OPTIONS
+        if self.kind == "function" and any(p.kind is p.VAR_KEYWORD for p in own.values()):
             return None
-        return {name for signature in signatures for name in signature.parameters} - _NOT_OPTIONS
+        return set(own) - _NOT_OPTIONS | ({"restarts"} if self.kind == "estimator" and "init" in own else set())
 
     def run(self, planted, rng: np.random.Generator, options: Mapping[str, object]) -> Answer:
         """Answer a :class:`~bench.planted.Planted` problem."""
         if self.kind == "estimator":
-            estimate = estimators.solve(planted.problem, self.name, rng=rng, **options)
-            return Answer(estimate.relative)
+            return Answer(estimators.solve(planted.problem, self.name, rng=rng, **options).relative)
         if self.kind == "sampler":
             return sampled(planted.problem, self.name, rng=rng, **options)
         return self.function(planted if self.sees_planted else planted.problem, rng=rng, **options)
@@ -126,7 +122,7 @@ def method(name: str, *, sees_planted: bool = False) -> Callable[[Callable], Cal
     """
 
     def register(function: Callable) -> Callable:
-        _REGISTRY[name] = Method(name, function, "function", sees_planted)
+        _REGISTRY[name] = Method(name, function, sees_planted=sees_planted)
         return function
 
     return register
@@ -137,59 +133,42 @@ def names() -> list[str]:
     importlib.import_module("bench.peers")
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
-    return sorted({*estimators.methods(), *samplers.methods(), *_REGISTRY})
+    return sorted(_registered())
 
 
 def get(name: str) -> Method:
     """The method of that name; a ValueError with the nearest names when there is none."""
-    if (found := _registered(name)) is not None:
-        return found
-    known = names()  # looks through the folders only when it must
-    if (found := _registered(name)) is not None:
-        return found
-    close = difflib.get_close_matches(name, known)
-    hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
-    raise ValueError(f"method: there is no {name!r}; {hint}")
+    if name not in _registered():
+        known = names()  # looks through the folders only when it must
+        if name not in known:
+            close = difflib.get_close_matches(name, known)
+            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
+            raise ValueError(f"method: there is no {name!r}; {hint}")
+    return _registered()[name]
 
 
-def _registered(name: str) -> Method | None:
-    if name in _REGISTRY:
-        return _REGISTRY[name]
-    for registry, kind in ((ESTIMATORS, "estimator"), (SAMPLERS, "sampler")):
-        if name in registry:
-            return Method(name, registry[name], kind)
-    return None
+def _registered() -> dict[str, Method]:
+    found = {name: Method(name, function, "estimator") for name, function in ESTIMATORS.items()}
+    return found | {name: Method(name, function, "sampler") for name, function in SAMPLERS.items()} | _REGISTRY
 
 
 def load(file: str | Path) -> list[str]:
-    """Run a file that registers methods (of any of the three kinds); gives the names it added.
-
-    Raises
-    ------
-    ValueError
-        The file is missing or registers nothing.
-    """
+    """Run a file that registers methods (of any of the three kinds); gives the names it added."""
     path = Path(file).resolve()
     if not path.is_file():
         raise ValueError(f"{file}: there is no such file")
     module_name = f"fmsync_bench_file_{path.stem}"
     if getattr(sys.modules.get(module_name), "__file__", None) != str(path):
         names()
-        before = dict(_all_functions())
+        before = _registered()
         spec = importlib.util.spec_from_file_location(module_name, path)
         module = importlib.util.module_from_spec(spec)
         sys.modules[module_name] = module
         spec.loader.exec_module(module)
-        replaced = [name for name, function in before.items() if _all_functions()[name] is not function]
-        if replaced:
-            home = before[replaced[0]].__module__
-            raise ValueError(f"{file}: the name {replaced[0]!r} is taken by {home}; choose another")
-    added = [name for name, function in _all_functions().items() if function.__module__ == module_name]
+        for name, entry in before.items():
+            if _registered()[name].function is not entry.function:
+                raise ValueError(f"{file}: the name {name!r} is taken by {entry.module}; choose another")
+    added = [name for name, entry in _registered().items() if entry.module == module_name]
     if not added:
         raise ValueError(f'{file}: registers no method; decorate a function with @method("name")')
     return added
-
-
-def _all_functions() -> dict[str, Callable]:
-    own = {name: entry.function for name, entry in _REGISTRY.items()}
-    return {**ESTIMATORS, **SAMPLERS, **own}

@@ -10,26 +10,6 @@ from sphinx.util.fileutil import copy_asset_file
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# one viewer for every scene of the book; the page that shows it sends the scene (see _static/scene.js)
-_VIEWER_SCRIPT = """
-<style>html, body { overflow: hidden; background: white; }</style>
-<div class="content" hidden></div><div id="scene" style="position:absolute;inset:0"></div>
-<script>
-  // the page scrolls under the wheel; only Ctrl + wheel zooms
-  addEventListener("wheel", (e) => { if (!e.ctrlKey) e.stopImmediatePropagation(); }, { capture: true });
-  addEventListener("message", (e) => {
-    if (e.source !== parent || typeof e.data !== "string") return;
-    OfflineLocalView.load(document.querySelector("#scene"), { base64Str: e.data });
-    const watch = setInterval(() => {
-      if (!document.querySelector("canvas")) return;
-      clearInterval(watch);
-      requestAnimationFrame(() => requestAnimationFrame(() => parent.postMessage("fm-drawn", "*")));
-    }, 50);
-  });
-  addEventListener("load", () => parent.postMessage("fm-ready", "*"));
-</script>
-"""
-
 
 def cache_folder(root: Path = ROOT) -> Path:
     """Execution cache named by everything a page depends on besides its own cells.
@@ -57,7 +37,8 @@ def cache_folder(root: Path = ROOT) -> Path:
 def shared_viewer() -> str:
     """The vtk.js viewer without a scene of its own."""
     template = Path(importlib.util.find_spec("trame_vtk").origin).with_name("tools") / "static_viewer.html"
-    return template.read_text(encoding="utf-8").replace("</body>", _VIEWER_SCRIPT + "</body>")
+    script = Path(__file__).with_name("viewer_script.html").read_text(encoding="utf-8")
+    return template.read_text(encoding="utf-8").replace("</body>", script + "</body>")
 
 
 def _configure(app, config):
@@ -79,18 +60,25 @@ def _copy_assets(app):
 
 
 def _finish_page(app, pagename, templatename, context, doctree):
-    _drop_thebe(context)
+    if "script_files" in context:  # sphinx-thebe declares its constants twice (a page error) and would call a CDN
+        context["script_files"][:] = [script for script in context["script_files"] if not _is_thebe(script)]
+    body = context.get("body", "")
     for role in (' role="list"', ' role="doc-biblioentry"'):  # a list may hold items only; these hold links as well
-        context["body"] = context.get("body", "").replace(role, "")
+        body = body.replace(role, "")
     name = pagename.rsplit("/", 1)[-1]
-    if (ROOT / "book" / "notebooks" / f"{name}.ipynb").exists() and "</h1>" in context.get("body", ""):
+    if (ROOT / "book" / "notebooks" / f"{name}.ipynb").exists():
         href = context["pathto"](f"notebooks/{name}.ipynb", resource=True)
         links = [f'<a href="{href}" download>Download this page as a notebook</a>']
         options = app.config.html_theme_options
         for where, address in launch_links(options.get("repository_url"), options.get("repository_branch"), name):
             links.append(f'<a href="{address}">run it on {where}</a>')
-        link = f'<p class="fm-download">{", ".join(links)}</p>'
-        context["body"] = context["body"].replace("</h1>", "</h1>\n" + link, 1)
+        body = body.replace("</h1>", f'</h1>\n<p class="fm-download">{", ".join(links)}</p>', 1)
+    context["body"] = body
+
+
+def _is_thebe(script) -> bool:
+    body = getattr(script, "attributes", {}).get("body") or ""
+    return "THEBE_JS_URL" in body or "sphinx-thebe" in str(getattr(script, "filename", script) or "")
 
 
 def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[str, str]]:
@@ -111,18 +99,6 @@ def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[s
         ("Binder", f"https://mybinder.org/v2/gh/{project}/{branch}?urlpath=lab/tree/{notebook}"),
         ("Colab", f"https://colab.research.google.com/github/{project}/blob/{branch}/{notebook}"),
     ]
-
-
-def _drop_thebe(context):
-    """sphinx-thebe declares its constants twice (a page error) and would call a CDN."""
-
-    def keep(script):
-        body = getattr(script, "attributes", {}).get("body") or ""
-        name = str(getattr(script, "filename", script) or "")
-        return "THEBE_JS_URL" not in body and "sphinx-thebe" not in name
-
-    if "script_files" in context:
-        context["script_files"][:] = [s for s in context["script_files"] if keep(s)]
 
 
 def setup(app):

@@ -3,13 +3,18 @@
 import json
 import os
 import platform
-import re
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
 import yaml
 from docutils.nodes import Node
+from jupyter_cache import get_cache
+from myst_nb.core.read import read_myst_markdown_notebook
+from nbformat import NotebookNode
 from sphinx.util.docutils import SphinxDirective
+
+from bench.provenance import machine
 
 ROOT = Path(__file__).resolve().parents[2]
 _LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyvista", "pyfmaps", "jupyter-book")
@@ -25,24 +30,24 @@ def pages(root: Path = ROOT) -> list[Path]:
 
 def surroundings() -> dict[str, str]:
     """Where a page is executed; kept beside its outputs."""
-    cpuinfo = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", cpuinfo.read_text()) if cpuinfo.exists() else []
     shapes = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
     return {
-        "machine": f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "system": f"{platform.system()} {platform.release()}, Python {platform.python_version()}",
         "shapes": "the TOSCA cats" if shapes.is_dir() else "the cats that come with the project",
     }
+
+
+def notebook_of(page: Path) -> NotebookNode:
+    """The cells of a page; what the execution cache finds its outputs by."""
+    return read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
 
 
 class Status(SphinxDirective):
     """Chapters with seconds and result, then versions, machine and shapes, as Markdown of the page."""
 
     def run(self) -> list[Node]:
-        lines = status_table(
-            records(), [(path, f"/{path.relative_to(ROOT / 'book').with_suffix('')}") for path in pages()]
-        )
-        return self.parse_text_to_nodes("\n".join(lines))
+        return self.parse_text_to_nodes("\n".join(status_table(pages(), records())))
 
 
 class Worlds(SphinxDirective):
@@ -80,33 +85,28 @@ def _code(text: str) -> str:
 def records() -> dict[Path, dict]:
     """What the execution cache knows of each page; pages that it does not hold are left out."""
     from fmsync_book import cache_folder
-    from jupyter_cache import get_cache
-    from myst_nb.core.read import read_myst_markdown_notebook
 
     cache, found = get_cache(str(cache_folder())), {}
     for page in pages():
-        notebook = read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
-        try:
-            found[page] = cache.match_cache_notebook(notebook).data
-        except KeyError:
-            continue
+        with suppress(KeyError):
+            found[page] = cache.match_cache_notebook(notebook_of(page)).data
     return found
 
 
-def status_table(found: dict[Path, dict], links: list[tuple[Path, str]]) -> list[str]:
-    """Lines of Markdown from :func:`records` and the document name of every page."""
+def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
+    """Lines of Markdown from :func:`pages` and :func:`records`."""
     lines = ["| chapter | seconds | CPU seconds | result |", "| --- | ---: | ---: | --- |"]
-    for page, link in links:
+    for page in files:
         data = found.get(page, {})
         told = [f"{data[key]:.0f}" if key in data else "–" for key in ("execution_seconds", "cpu_seconds")]
-        lines.append(f"| {{doc}}`{link}` | {' | '.join(told)} | {'passed' if page in found else 'not run'} |")
+        told.append("passed" if page in found else "not run")
+        lines.append(f"| {{doc}}`/chapters/{page.stem}` | {' | '.join(told)} |")
     total = sum(data.get("cpu_seconds", 0) for data in found.values())  # what another tool executed has no such entry
     lines += ["", f"Together {total / 60:.1f} CPU-minutes.", ""]
     for name in ("machine", "system", "shapes"):
         values = sorted({data[name] for data in found.values() if name in data}) or ["not known"]
         lines.append(f"- **{name.capitalize()}:** {'; '.join(values)}")
-    lines.append(f"- **Versions:** {', '.join(f'{library} {version(library)}' for library in _LIBRARIES)}")
-    return lines
+    return [*lines, f"- **Versions:** {', '.join(f'{library} {version(library)}' for library in _LIBRARIES)}"]
 
 
 def setup(app):

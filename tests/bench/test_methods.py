@@ -16,7 +16,8 @@ NEEDS_SHAPES = {"consistent-zoomout"}
 NAMES = [
     name
     for name in methods.names()
-    if name not in NEEDS_SHAPES and methods.get(name).module.startswith("fmsync.")  # other tests register tricks
+    if name not in NEEDS_SHAPES
+    and methods.get(name).module.startswith(("fmsync.", "bench."))  # other tests register tricks
 ]
 
 

@@ -146,9 +146,9 @@ def test_table1_puts_ours_beside_the_paper_s(paper):
     assert table[table.label == "spectral"].paper.isna().all()
 
 
-def test_readings_that_were_not_run_are_refused(paper):
-    reading = {"n_nodes": 4, "two_way": False}
-    assert report.readings(paper) == [{**reading, "around": "consistent"}, {**reading, "around": "measured"}]
+def test_variants_that_were_not_run_are_refused(paper):
+    variant = {"n_nodes": 4, "two_way": False}
+    assert report.protocol_variants(paper) == [{**variant, "around": "consistent"}, {**variant, "around": "measured"}]
     with pytest.raises(ValueError, match="python -m bench run paper"):
         report.table1(paper, n_nodes=11)
 
@@ -177,10 +177,12 @@ def test_scoreboard_ranks_and_counts_failures():
     assert 0 <= heights["good"] < heights["bad"] <= 1
 
 
-def test_standings_are_relative_to_the_best():
+def test_performance_is_relative_to_the_best():
     rows = [frame([2.0], "a", sigma2=0.1), frame([8.0], "b", sigma2=0.1), frame([0.0], "oracle", sigma2=0.1)]
     rows += [frame([3.0], "a", sigma2=0.2), frame([1.5], "b", sigma2=0.2)]
-    table = report.standings({"one": report.scoreboard(pd.concat(rows)), "two": report.scoreboard(frame([5.0], "b"))})
+    table = report.relative_performance(
+        {"one": report.scoreboard(pd.concat(rows)), "two": report.scoreboard(frame([5.0], "b"))}
+    )
     assert table.index.tolist() == ["a", "b"]
     np.testing.assert_allclose(table["one"], [2**0.5, 2.0])  # a: 1 and 2; b: 4 and 1
     np.testing.assert_allclose(table["two"], [np.nan, 1.0])

@@ -7,7 +7,7 @@ import pytest
 
 import data_gen
 import fmsync
-from bench.own_shapes_confidence import planted_flips, planted_noise
+from bench.own_shapes.confidence import planted_noise
 from fmsync.matching import fit_conformal, pairwise, synchronize
 from fmsync.matching.confidence import Confidence, local_distortion, two_modes
 from fmsync.matching.quality import quality_flags
@@ -15,6 +15,7 @@ from fmsync.matching.samples import farthest_points, geodesics_between, orientat
 from fmsync.matching.signs import rotation_signs
 from fmsync.shape import Shape
 from tests.matching.conftest import OPTIONS
+from tests.matching.planted_flips import planted_flips
 
 
 def straight_errors(shape, image):

@@ -1,0 +1,51 @@
+"""How far the pipeline for own shapes can be trusted, on collections with one vertex order.
+
+The order serves for evaluation, never for maps. Each part is a command, and adds to one file of results:
+
+``python -m bench.own_shapes collections tosca_cat cats``
+    errors and CPU seconds of the stages, for the first collection beside pyFM; coverage of regions as they come, and
+    calibrated on the other collection; errors of the vertices that are retained
+``... remeshed tosca_cat`` and ``... landmarks tosca_cat``
+    errors on copies with triangulations and vertex counts of their own, without and with four landmarks
+``... planted cats``
+    coverage where the model is right
+``... refit cats uneven_cats --out fmsync/matching/conformal.json``
+    the calibration that the package ships
+
+A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
+are in square roots of the area.
+"""
+
+import argparse
+from pathlib import Path
+
+from bench.own_shapes import confidence
+from bench.own_shapes.evaluation import collection
+from bench.own_shapes.stages import remeshed
+from bench.studies import add_part
+
+PARTS = {
+    "collections": confidence.collections,
+    "remeshed": remeshed,
+    "landmarks": lambda loaded: remeshed(loaded, n_landmarks=4),
+    "planted": confidence.planted,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure one part and add it to the file of results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=[*PARTS, "refit"])
+    parser.add_argument("collections", nargs="+")
+    parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
+    options = parser.parse_args(arguments)
+    loaded = {Path(name).name: collection(name) for name in options.collections}
+    if options.part == "refit":
+        confidence.refit(loaded).save(options.out)
+    else:
+        command = " ".join(["python -m bench.own_shapes", options.part, *loaded])
+        add_part(options.out, options.part, PARTS[options.part](loaded), command)
+
+
+if __name__ == "__main__":
+    main()

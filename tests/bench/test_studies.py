@@ -1,0 +1,139 @@
+"""The stand-alone studies, each in its smallest size: they run, and their results have the parts that pages read."""
+
+import json
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import data_gen
+from bench import calibration_coverage, speed, studies
+from bench.own_shapes import __main__ as own_shapes
+from bench.own_shapes import confidence, evaluation, stages
+
+OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 120, "n_draws": 40}
+
+
+@pytest.fixture(scope="module")
+def cats():
+    return data_gen.load_collection("cats", count=3, n_vertices=1000)
+
+
+@pytest.fixture(scope="module")
+def observed(cats):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # few draws
+        return confidence.observe(cats, **OPTIONS)
+
+
+def test_a_part_is_added_to_a_file_and_the_others_stay(tmp_path):
+    path = tmp_path / "deep" / "found.json"
+    studies.add_part(path, "one", {"a": 1}, "first")
+    studies.add_part(path, "two", {"b": 2}, "second")
+    studies.add_part(path, "one", {"a": 3}, "third")
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert found["one"].items() >= {"a": 3, "command": "third"}.items()
+    assert found["two"]["b"] == 2
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_seconds_are_of_a_unit_of_work():
+    def busy():
+        return sum(range(300_000))
+
+    once, twice, ratio = studies.compare(busy, busy, runs=3, work=lambda result: 2.0)
+    assert once > 0
+    assert twice > 0
+    assert 0.2 < ratio < 5
+
+
+def test_speed_prints_a_line_for_each_pair_that_is_asked_for(capsys):
+    speed.main(["exp of", "nearest", "--runs", "1"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["ours", "exp", "nearest"]
+    assert all(line.endswith("x") for line in lines[1:])
+
+
+@pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
+def test_both_ways_of_a_pair_have_the_same_result():
+    for ours, peer in (speed.exponentials(), speed.projections()):
+        a, b = ours(), np.array(peer())
+        same = np.linalg.det(b) > 0  # SciPy's polar factor may be a reflection
+        np.testing.assert_allclose(a[same], b[same], atol=1e-8)
+    ours, peer = speed.maximum_likelihood(0.2, "hand")
+    assert abs(ours().cost - peer().cost) < 1e-6
+    ours, peer = speed.eigenvectors(5)
+    pairs = np.array([[0, 1], [2, 4]])
+    np.testing.assert_allclose(ours().relative(pairs), peer().relative(pairs), atol=1e-6)
+    ours, _ = speed.draws("heat-bath", "hmc", n_draws=8, warmup=4)
+    assert speed.effective(ours()) > 1
+
+
+def test_coverage_runs_what_is_missing_and_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibration_coverage, "CASES", [("langevin", 8.0, "langevin"), ("langevin", 8.0, "beta = 1")])
+    real = calibration_coverage.one
+    monkeypatch.setattr(calibration_coverage, "one", lambda *case: real(*case, n=3, n_draws=20))
+    calibration_coverage.main(["--problems", "2", "--jobs", "1", "--results", str(tmp_path)])
+    rows = pd.read_csv(tmp_path / "calibration_problems.csv")
+    assert rows.model.tolist() == ["langevin", "beta = 1", "langevin"]  # wrong models get every fourth problem
+    assert rows.covered_95.between(0, 1).all()
+    calibration_coverage.main(["--problems", "2", "--jobs", "1", "--results", str(tmp_path)])
+    assert len(pd.read_csv(tmp_path / "calibration_problems.csv")) == 3
+    table = pd.read_csv(tmp_path / "calibration_coverage.csv")
+    assert table.problems.tolist() == [1, 2]
+    assert {"0.5", "se 0.5", "ess", "cpu_hours"} <= set(table.columns)
+
+
+def test_evaluation_knows_the_right_images(observed):
+    vertices = observed.evaluation.vertices
+    assert observed.evaluation.distances[1].shape == (80, 1000)
+    assert np.abs(observed.evaluation.distances[1][np.arange(80), vertices[1]]).max() < 0.02
+    assert np.mean(observed.errors) < 0.08
+
+
+def test_regions_hold_more_where_they_promise_more(observed, cats):
+    for calibration in (
+        None,
+        confidence.default_calibration(),
+        confidence.fit_conformal(observed.known, observed.errors),
+    ):
+        covered = list(observed.covered(calibration).values())
+        assert covered == sorted(covered)
+    assert covered == pytest.approx(confidence.LEVELS, abs=0.02)  # on what it was fitted on
+    uneven = evaluation.uneven(cats)
+    assert all(np.linalg.norm(b.vertices - a.vertices, axis=1).mean() > 0 for a, b in zip(cats, uneven))
+
+
+def test_risk_falls_the_most_for_who_knows_the_errors(observed):
+    found = confidence.risk_coverage(observed, confidence.default_calibration())
+    assert list(found) == ["kept", "curve", "area"]
+    assert all(curve[0] == pytest.approx(1) for curve in found["curve"].values())
+    assert min(found["area"], key=found["area"].get) == "oracle"
+
+
+def test_stages_have_errors_and_seconds(observed):
+    pytest.importorskip("pyFM")
+    found = stages.stages(observed.synced, observed.evaluation, peers=True)
+    errors = found["mean_geodesic_error"]
+    assert errors["pipeline (upsampled together to 30)"] < errors["pairwise (with its own ZoomOut)"] + 0.02
+    assert set(found["cpu_seconds"]) >= {"synchronised maps proposed to the pairs", "upsampled together to 30"}
+    assert "pyFM Consistent ZoomOut to 30 from our pairwise maps" in errors
+
+
+def test_copies_have_vertices_of_their_own(cats):
+    vertices = evaluation.evaluation_vertices(cats, 5)
+    copies, moved = stages.decimated(cats, vertices)
+    assert len({copy.n_vertices for copy in copies}) == 3
+    for shape, copy, old, new in zip(cats, copies, vertices, moved):
+        apart = np.linalg.norm(shape.vertices[old] - copy.vertices[new], axis=1) / np.sqrt(shape.area)
+        assert apart.max() < 0.1
+
+
+def test_every_part_of_the_command_writes_its_results(tmp_path, monkeypatch, cats):
+    monkeypatch.setattr(own_shapes, "collection", lambda name: cats)
+    monkeypatch.setitem(own_shapes.PARTS, "planted", lambda loaded: {name: len(one) for name, one in loaded.items()})
+    own_shapes.main(["planted", "some/cats", "--out", str(tmp_path / "found.json")])
+    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert found["planted"]["cats"] == 3
+    assert found["planted"]["command"] == "python -m bench.own_shapes planted cats"
