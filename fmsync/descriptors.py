@@ -7,6 +7,7 @@ All of them live on the basis of unit area, so units and scale do not matter. Th
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.shape import Basis
 
 
@@ -27,11 +28,6 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     -------
     ndarray
         (V, K), short times first.
-
-    Raises
-    ------
-    ValueError
-        A basis of one function, or ``n_times`` < 1.
 
     Examples
     --------
@@ -60,11 +56,6 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     -------
     ndarray
         (V, K), low energies first; the area-weighted mean of every column is 1.
-
-    Raises
-    ------
-    ValueError
-        A basis of one function, or ``n_energies`` < 1.
 
     Examples
     --------
@@ -103,21 +94,13 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
     ndarray
         (V, L * n_times), the times of the first landmark first.
 
-    Raises
-    ------
-    ValueError
-        A basis of one function, ``n_times`` < 1, or a landmark outside the shape.
-
     Examples
     --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> bool(np.diff(heat_kernel(basis, [0], 1)[:, 0]) < 0)  # colder away from the source
     True
     """
-    landmarks = np.asarray(landmarks)
-    bad = np.flatnonzero((landmarks < 0) | (landmarks >= basis.n_vertices))
-    if len(bad):
-        raise ValueError(f"landmarks[{bad[0]}] = {landmarks[bad[0]]} is outside the vertices 0..{basis.n_vertices - 1}")
+    landmarks = checks.indices("landmarks", landmarks, basis.n_vertices)
     decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)
     sources = basis.eigenfunctions[landmarks]  # (L, n)
     coefficients = (sources[:, None, :] * decay).reshape(-1, basis.n)  # (L T, n)
@@ -140,5 +123,4 @@ def _squares_averaged(basis: Basis, weights: np.ndarray) -> np.ndarray:
 def _check(basis: Basis, count: int, name: str) -> None:
     if basis.n < 2:
         raise ValueError("descriptors need a basis of at least two functions: the first one is constant")
-    if count < 1:
-        raise ValueError(f"{name} = {count} must be at least 1")
+    checks.count(name, count)

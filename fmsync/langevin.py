@@ -1,4 +1,4 @@
-r"""The matrix-Langevin law on SO(n): normaliser, mean cosine and the concentration that matches a noise.
+r"""The matrix-Langevin distribution on SO(n): normaliser, mean cosine and the concentration that matches a noise.
 
 :math:`p(R) = \exp(\kappa\operatorname{tr}(M^\top R)) / c_n(\kappa)` with respect to the Haar probability. Weyl's
 integration formula makes :math:`c_n` a Hankel determinant of the weight
@@ -19,6 +19,8 @@ from numpy.polynomial import Chebyshev
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 
+from fmsync import checks
+
 _LARGEST_KAPPA = 1e5
 _SMALL = 2.0  # below it the norms h_j cancel too much, and log c_n is the integral of its derivative
 _SERIES_NODES = 64  # c_2 = I_0(2κ) has the nearest complex zero, at 1.2 i: 64 nodes on [-2, 2] leave nothing over
@@ -38,11 +40,6 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
     -------
     ndarray
         As ``kappa``; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
-
-    Raises
-    ------
-    ValueError
-        n or a concentration out of range.
 
     Examples
     --------
@@ -81,11 +78,6 @@ def matched_kappa(n: int, cosine: float) -> float:
     Mean cosines <= 0 give 0. For the noise proj(I + σG), ``cosine`` is E tr Z / n
     (:func:`fmsync.bounds.projected_noise_moments`).
 
-    Raises
-    ------
-    ValueError
-        The cosine is so near 1 that kappa would pass 1e5.
-
     Examples
     --------
     >>> from fmsync import langevin
@@ -109,8 +101,7 @@ def matched_kappa(n: int, cosine: float) -> float:
 
 
 def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(n, bool) or int(n) != n or n < 2:
-        raise ValueError(f"n: rotations have a whole size n >= 2, got {n}")
+    checks.count("n", n, least=2)
     kappa = np.asarray(kappa, dtype=float)
     flat = kappa.ravel()
     bad = flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]

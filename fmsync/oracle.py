@@ -2,7 +2,7 @@ r"""The paper's oracle accuracy: how near the truth lies the best map that can b
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.problem import fix_gauge
 
 
@@ -31,11 +31,6 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     -------
     ndarray
         (M,) accuracies in (0, 1], never falling with the count.
-
-    Raises
-    ------
-    ValueError
-        Draws that do not fit the truth, or counts outside 1..K.
 
     Examples
     --------
@@ -79,7 +74,6 @@ def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Genera
     >>> oracle.haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
     (10, 3, 4, 4)
     """
-    if n_samples < 1:
-        raise ValueError(f"n_samples: need at least one, got {n_samples}")
+    checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)
     return np.concatenate([fix_gauge(first)[None], fix_gauge(uniform)])

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.functional_maps import nearest_rows
 from fmsync.shape import Basis
 
@@ -25,11 +26,6 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     ndarray
         (K,) vertices of shape j.
 
-    Raises
-    ------
-    ValueError
-        Draws that do not fit the bases, or a vertex outside shape i.
-
     Examples
     --------
     >>> import numpy as np, fmsync
@@ -41,8 +37,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     relative_draws = np.asarray(relative_draws, dtype=float)
     if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
         raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
-    if not 0 <= vertex < basis_i.n_vertices:
-        raise ValueError(f"vertex: {vertex} is outside the vertices 0..{basis_i.n_vertices - 1} of shape i")
+    checks.indices("vertex", [vertex], basis_i.n_vertices)
     return nearest_rows(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
 
 
@@ -55,8 +50,4 @@ def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
     >>> uncertainty.image_density([2, 0, 2], 4)
     array([1, 0, 2, 0])
     """
-    images = np.asarray(images)
-    bad = np.flatnonzero((images < 0) | (images >= n_vertices))
-    if bad.size:
-        raise ValueError(f"images[{bad[0]}] = {images[bad[0]]} is outside the vertices 0..{n_vertices - 1}")
-    return np.bincount(images, minlength=n_vertices)
+    return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

@@ -9,7 +9,7 @@ import data_gen
 import fmsync
 from fmsync import calibration, so
 from fmsync.energy import energy as euclidean_energy
-from fmsync.samplers.noise_level import interpolated_log_normaliser, normaliser_table
+from fmsync.samplers.concentration import interpolated_log_normaliser, normaliser_table
 
 pytestmark = pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
 N_NODES, KAPPA, N_DRAWS = 5, 4.0, 29
@@ -60,7 +60,7 @@ EXACT = {
     "heat-bath": ("heat-bath", {"warmup": 10, "thin": 2}),
     "hmc": ("hmc", {"warmup": 15, "thin": 2, "step": 0.15, "length": 0.3}),
     "mala": ("mala", {"warmup": 20, "thin": 5, "step": 0.2}),
-    "tempered": ("tempered", {"warmup": 10, "thin": 2, "rungs": 3, "hottest": 0.3}),
+    "tempered": ("tempered", {"warmup": 10, "thin": 2, "n_temperatures": 3, "hottest": 0.3}),
 }
 
 
@@ -93,7 +93,7 @@ LEVELS = {
 
 
 @pytest.mark.parametrize("name", LEVELS)
-def test_inferred_noise_levels_are_calibrated(name):
+def test_inferred_concentrations_are_calibrated(name):
     """Truths drawn from the documented priors of the noise level; its rank is looked at as well."""
     level, options = LEVELS[name]
     assert min(check(120, "heat-bath", level, **options)) > 1e-3
@@ -101,7 +101,7 @@ def test_inferred_noise_levels_are_calibrated(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEVELS)
-def test_inferred_noise_levels_are_calibrated_in_full(name):
+def test_inferred_concentrations_are_calibrated_in_full(name):
     level, options = LEVELS[name]
     options = options | {"thin": 2 * options["thin"]}  # so many ranks see whether draws depend on each other
     assert min(check(1500, "heat-bath", level, **options)) > 1e-3

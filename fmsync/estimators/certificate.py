@@ -55,11 +55,6 @@ def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificat
     Certificate
         ``certified`` when :math:`\lambda_{\min} \ge -10^{-8}` times the largest degree.
 
-    Raises
-    ------
-    ValueError
-        The estimate is off the group, or its shape is not the problem's.
-
     Examples
     --------
     >>> import numpy as np, fmsync

@@ -40,11 +40,6 @@ def mle(
     max_iterations
         Trust-region steps, rejected ones included.
 
-    Returns
-    -------
-    Estimate
-        With a trace; ``converged`` says whether the tolerance was met.
-
     Examples
     --------
     >>> import numpy as np, fmsync
@@ -56,6 +51,4 @@ def mle(
     absolute, converged, trace = minimise(
         Rotations(problem), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
     )
-    return Estimate.from_absolute(
-        problem, absolute, "mle", group, n_iterations=len(trace.cost) - 1, converged=converged, trace=trace
-    )
+    return Estimate.from_absolute(problem, absolute, "mle", group, converged=converged, trace=trace)

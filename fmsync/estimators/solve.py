@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
@@ -41,21 +42,12 @@ def solve(
     options
         Passed to the estimator; an unknown option is refused with the list of known ones.
 
-    Returns
-    -------
-    Estimate
-
     Warns
     -----
     RuntimeWarning
         The method stopped before its tolerance was met; ``converged`` is then False.
     UserWarning
         Maps far from orthogonal met a method that answers with rotations; names the worst edge.
-
-    Raises
-    ------
-    ValueError
-        Unknown method or option.
 
     Examples
     --------
@@ -96,8 +88,7 @@ def best_of_starts(
     to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
     proof of local ones.
     """
-    if isinstance(restarts, bool) or int(restarts) != restarts or restarts < 1:
-        raise ValueError(f"restarts: need a whole number of starts >= 1, got {restarts}")
+    checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
     answers = [
         solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))

@@ -5,10 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import eigh
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.energy import gradient, neighbour_sums, sparse_sums
-from fmsync.estimators.base import Callback, Estimate, estimator
-from fmsync.estimators.groups import check_group, nearest
+from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
@@ -33,19 +32,12 @@ def spectral(
 
     Parameters
     ----------
-    problem
-        N nodes, E observed maps (n, n).
     rng
         Draws the start of the block iteration.
     group
         ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
     tolerance
         Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
-
-    Returns
-    -------
-    Estimate
-        ``absolute`` (N, n, n).
 
     Examples
     --------
@@ -61,7 +53,7 @@ def spectral(
 
 def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, tolerance: float) -> np.ndarray:
     """Members of the group (N, n, n): what ``spectral`` answers, in a gauge of its own."""
-    check_group(group)
+    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
     frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)

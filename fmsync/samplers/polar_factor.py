@@ -1,4 +1,4 @@
-r"""The paper's noise, exactly: the stretch that projection threw away is put back as an unknown.
+r"""The paper's noise, exactly: the symmetric polar factor that projection threw away is put back as a latent variable.
 
 :math:`C_{ij}P_{ij} = C_i^\top C_j + \sigma G` with P symmetric and :math:`\lambda_a+\lambda_b>0` for all pairs of its
 eigenvalues: that is the region which projection to SO(n) maps to C_ij, and the Jacobian is
@@ -9,7 +9,7 @@ is linear in each map: the heat bath applies. Given the maps, with A the symmetr
 .. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
 
 drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws
-and eigenvalues by slices, half of either in turn. The maps mix more slowly than the stretches: half is enough.
+and eigenvalues by slices, half of either in turn. The maps mix more slowly than the polar factors: half is enough.
 """
 
 from collections.abc import Callable
@@ -17,27 +17,30 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from fmsync.problem import SyncProblem
-from fmsync.samplers.noise_level import matched_to_spectral
+from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
 from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
 
 Work = Callable[[int, int], None]  # on chains first .. last
 
 LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
-_LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
+_SIGMA2_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
 
 
-class Stretches:
-    """Stretches and noise level of every chain, beside the blocks of observations that the map sweep reads.
+class PolarFactors:
+    """Symmetric polar factors and noise variance of every chain, and the blocks of observations that map sweeps read.
 
     ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
     """
 
-    def __init__(self, problem: SyncProblem, n_chains: int, rng: np.random.Generator):
-        n, n_edges = problem.n, problem.n_edges
-        self._problem = problem
-        sigma2 = np.clip(1 / matched_to_spectral(problem, rng), LEAST_SIGMA2, 1.0)
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        self._problem = target.problem
+        n, n_edges = self._problem.n, self._problem.n_edges
+        if target.kappa is not None:
+            raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
+        if (self._problem.weights != 1).any():
+            raise ValueError("weights: likelihood='projected-gaussian' needs weights 1; repeat an edge instead")
+        sigma2 = np.clip(1 / target.matched_kappa("sigma2", rng), LEAST_SIGMA2, 1.0)
         self.sigma2 = np.full(n_chains, sigma2)
         noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
         _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
@@ -45,8 +48,8 @@ class Stretches:
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable[[Work, int], None]) -> None:
-        """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Callable[[Work, int], None]) -> None:
+        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks."""
         p = self._problem
         start, edge, _, forward = p.incidence
         self._age += 1
@@ -55,16 +58,16 @@ class Stretches:
 
         def some(first: int, last: int) -> None:
             own = slice(first, last)
-            stretch_chains(
+            polar_factor_chains(
                 x[own], self._vectors[own], self._values[own], self.sigma2[own], self.blocks[own], states[own],
-                p.edges, p.maps, planes, parity, levels, start, edge, forward,
+                p.edges, p.maps, planes, parity, infer, start, edge, forward,
             )  # fmt: skip
 
-        share(some, len(x))
+        over_chains(some, len(x))
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_chains(
+def polar_factor_chains(
     x: np.ndarray,
     vectors: np.ndarray,
     values: np.ndarray,
@@ -75,37 +78,37 @@ def stretch_chains(
     maps: np.ndarray,
     planes: np.ndarray,
     parity: int,
-    levels: bool,
+    infer: bool,
     start: np.ndarray,
     edge: np.ndarray,
     forward: np.ndarray,
 ) -> None:
-    """:func:`stretch_step` for every chain, σ² and blocks written."""
-    stretched, ones = np.empty(maps.shape), np.ones(len(maps))
+    """:func:`polar_factor_step` for every chain, σ² and blocks written."""
+    unprojected, ones = np.empty(maps.shape), np.ones(len(maps))
     for k in range(len(x)):
-        sigma2[k] = stretch_step(
-            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, parity, stretched, states[k]
+        sigma2[k] = polar_factor_step(
+            x[k], edges, maps, vectors[k], values[k], sigma2[k], infer, planes, parity, unprojected, states[k]
         )
-        node_blocks(stretched, ones, start, edge, forward, blocks[k])
+        node_blocks(unprojected, ones, start, edge, forward, blocks[k])
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_step(
+def polar_factor_step(
     x: np.ndarray,
     edges: np.ndarray,
     maps: np.ndarray,
     vectors: np.ndarray,
     values: np.ndarray,
     sigma2: float,
-    levels: bool,
+    infer: bool,
     planes: np.ndarray,
     parity: int,
-    stretched: np.ndarray,
+    unprojected: np.ndarray,
     state: np.ndarray,
 ) -> float:
     """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
-    C P goes to ``stretched`` (E, n, n).
+    C P goes to ``unprojected`` (E, n, n).
 
     Returns σ².
     """
@@ -135,15 +138,15 @@ def stretch_step(
             for b in range(n):
                 vectors[e, a, b] = rows[a, b]
     scale = 1.0
-    if levels:
-        sigma2, scale = draw_level(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
+    if infer:
+        sigma2, scale = draw_sigma2(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
         values *= scale
     for e in range(n_edges):
         for a in range(n):
             for b in range(n):
                 scaled[a, b] = values[e, a] * vectors[e, a, b]
         np.dot(vectors[e].T, scaled, product)
-        np.dot(maps[e], product, stretched[e])
+        np.dot(maps[e], product, unprojected[e])
     return sigma2
 
 
@@ -246,17 +249,17 @@ def draw_eigenvalues(values: np.ndarray, diagonal: np.ndarray, sigma2: float, pa
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_level(
+def draw_sigma2(
     quadratic: float, linear: float, constant: int, dimension: int, sigma2: float, state: np.ndarray
 ) -> tuple[float, float]:
-    r"""σ² and a factor s for all stretches, given their shapes: (σ², s).
+    r"""σ² and a factor s for all polar factors, given their directions: (σ², s).
 
     Two exact steps in turn, with Q = Σ‖P‖², L = Σ tr(P A), c the constant and :math:`\sum\lVert M-R\rVert^2 = Q-2L+c`.
     σ² alone is inverse gamma. Along the joint scaling :math:`(P, \sigma)\to(sP, s\sigma)` all powers of s cancel but
     one: with v = 1/s the density is :math:`v^{-1}\exp(-c\,(v-L/c)^2/2\sigma^2)`.
     """
     scale = 1.0
-    for _ in range(_LEVEL_ROUNDS):
+    for _ in range(_SIGMA2_ROUNDS):
         v = linear / constant + np.sqrt(sigma2 / constant) * _normal(state)
         if v > 0 and uniform(state) * v < 1 and LEAST_SIGMA2 <= sigma2 / (v * v) <= LARGEST_SIGMA2:
             scale /= v
