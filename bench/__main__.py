@@ -5,28 +5,17 @@ import itertools
 import os
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 from tqdm import tqdm
 
 from fmsync.extras import MissingExtra, require_all
 
-_STORE = Path(os.environ.get("FMSYNC_BENCH_STORE", ".bench"))
 _RESULTS = Path("results")
 NEEDED = (  # by some command or suite: what is missing is reported before a run begins
-    "autograd",
-    "distributed",
-    "geomstats",
-    "joblib",
-    "matplotlib",
-    "pandas",
-    "potpourri3d",
-    "pyFM",
-    "pyarrow",
-    "pymanopt",
-    "pyvista",
-    "robust_laplacian",
-    "sklearn",
+    *("autograd", "distributed", "geomstats", "joblib", "matplotlib", "pandas", "potpourri3d", "pyFM"),
+    *("pyarrow", "pymanopt", "pyvista", "robust_laplacian", "sklearn"),
 )
 
 
@@ -50,188 +39,126 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description="Run and compare benchmark suites.")
-    actions = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    run = _command(
-        actions,
-        "run",
-        "run the cells of a suite that are not finished yet, and write its table of results",
-        "python -m bench run smoke\n  python -m bench run paper --seeds 3 --jobs 2\n"
-        "  python -m bench run smoke --with my_method.py\n  python -m bench run paper --backend dask --scheduler tcp://127.0.0.1:8786",
-    )
-    run.add_argument("suite", help="name of a suite, or a .toml file")
+    def command(run, text: str, *examples: str) -> argparse.ArgumentParser:
+        name = run.__name__.strip("_")
+        told = "\n".join(f"  python -m bench {name}{example}" for example in examples)
+        layout = {"epilog": f"example:\n{told}", "formatter_class": argparse.RawDescriptionHelpFormatter}
+        made = commands.add_parser(name, help=text, description=text, **layout)
+        made.set_defaults(run=run)
+        return made
+
+    text = "execute the runs of a suite that are not finished yet, and write its table of results"
+    run = command(_run, text, " smoke", " paper --seeds 3 --jobs 2", " smoke --with my_method.py")
+    collect = command(_collect, "write the table of the runs that are finished so far, without executing any", " paper")
+    report = command(_report, "print the tables of a suite and draw its figures", "", " scale")
+    text = "what got better or worse between two tables of results; exit status 1 when something got worse"
+    compare = command(_compare, text, " old/smoke.parquet results/smoke.parquet")
+    text = "repeat random runs of the tables of results and compare; exit status 1 when one differs"
+    verify = command(_verify, text, "", " paper robust --runs 20 --seed 1")
+    command(_list, "suites and methods", "")
+
+    for one in (run, collect):
+        one.add_argument("suite", help="name of a suite, or a .toml file")
+        cache = Path(os.environ.get("FMSYNC_BENCH_CACHE", ".bench"))
+        one.add_argument("--cache", type=Path, default=cache, help="folder of finished runs (default: %(default)s)")
+    for one in (collect, report, verify):
+        one.add_argument("--results", type=Path, default=_RESULTS, help="folder of the tables (default: %(default)s)")
+    run.add_argument("--results", type=Path, help=f"folder of the tables (default: {_RESULTS})")
     run.add_argument("--seeds", type=int, help="at most so many seeds, to begin with")
-    run.add_argument("--only", metavar="REGEX", help="only cells whose description matches; writes no results")
-    run.add_argument(
-        "--with", dest="files", action="append", default=[], metavar="FILE", help="file that adds a method"
-    )
-    run.add_argument(
-        "--jobs", type=int, default=os.cpu_count(), help="processes, one BLAS thread each (default: cores)"
-    )
-    run.add_argument("--backend", choices=("loky", "dask"), default="loky", help="processes here, or a Dask cluster")
+    run.add_argument("--only", metavar="REGEX", help="only runs whose description matches; writes no results")
+    text = "file that adds a method"
+    run.add_argument("--with", dest="files", action="append", default=[], metavar="FILE", help=text)
+    run.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at a time (default: cores)")
+    run.add_argument("--backend", choices=("local", "dask"), default="local", help="this machine, or a Dask cluster")
     run.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask cluster, such as tcp://127.0.0.1:8786")
-    run.add_argument("--store", type=Path, default=_STORE, help="folder of finished cells (default: %(default)s)")
-    run.add_argument("--results", type=Path, help=f"folder of the tables of results (default: {_RESULTS})")
-    run.set_defaults(run=_run)
-
-    collect = _command(
-        actions,
-        "collect",
-        "write the table of results of the cells that are finished so far, without running any",
-        "python -m bench collect paper",
-    )
-    collect.add_argument("suite", help="name of a suite, or a .toml file")
-    collect.add_argument("--store", type=Path, default=_STORE, help="folder of finished cells (default: %(default)s)")
-    collect.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
-    collect.set_defaults(run=_collect)
-
-    report = _command(
-        actions,
-        "report",
-        "print the tables of a suite and draw its figures",
-        "python -m bench report\n  python -m bench report scale",
-    )
     report.add_argument("suite", nargs="?", default="paper", help="default: %(default)s")
-    report.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
     report.add_argument("--figures", type=Path, help="also draw the figures into this folder")
-    report.set_defaults(run=_report)
-
-    compare = _command(
-        actions,
-        "compare",
-        "what got better or worse between two tables of results; exit status 1 when something got worse",
-        "python -m bench compare old/smoke.parquet results/smoke.parquet",
-    )
     compare.add_argument("before", type=Path)
     compare.add_argument("after", type=Path)
-    compare.add_argument(
-        "--tolerance", type=float, default=0.01, help="relative change to report (default: %(default)s)"
-    )
-    compare.set_defaults(run=_compare)
-
-    verify = _command(
-        actions,
-        "verify",
-        "run random cells of the tables of results again and compare; exit status 1 when one differs",
-        "python -m bench verify\n  python -m bench verify paper robust --cells 20 --seed 1",
-    )
+    text = "relative change to report (default: %(default)s)"
+    compare.add_argument("--tolerance", type=float, default=0.01, help=text)
     verify.add_argument("suites", nargs="*", metavar="SUITE", help="default: all that have a table of results")
-    verify.add_argument("--cells", type=int, default=10, help="how many, of all tables together (default: %(default)s)")
-    verify.add_argument("--seed", type=int, default=0, help="chooses the cells (default: %(default)s)")
-    verify.add_argument(
-        "--replicas",
-        type=int,
-        default=16,
-        help="repetitions of a cell that is outside of the tolerance, to see how much it varies (default: %(default)s)",
-    )
-    verify.add_argument("--results", type=Path, default=_RESULTS, help="default: %(default)s")
-    verify.set_defaults(run=_verify)
-
-    listing = _command(actions, "list", "suites and methods", "python -m bench list")
-    listing.set_defaults(run=_list)
+    verify.add_argument("--runs", type=int, default=10, help="how many, of all tables (default: %(default)s)")
+    verify.add_argument("--seed", type=int, default=0, help="chooses the runs (default: %(default)s)")
+    text = "repetitions of a run that is outside of the tolerance, to see how much it varies (default: %(default)s)"
+    verify.add_argument("--replicas", type=int, default=16, help=text)
     return parser
 
 
-def _command(actions, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    return actions.add_parser(
-        name,
-        help=text,
-        description=text,
-        epilog=f"example:\n  {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-
-
 def _run(arguments: argparse.Namespace) -> int:
-    from bench.results import to_frame, write
-    from bench.runner import RunError, run_cells
-    from bench.store import Store
+    from bench.cache import ResultCache
+    from bench.runner import RunError, run_suite
     from bench.suites import load_suite
 
     if (arguments.backend == "dask") != (arguments.scheduler is not None):
         raise ValueError("scheduler: --backend dask and --scheduler ADDRESS go together")
     began = time.perf_counter()
     suite = load_suite(arguments.suite, files=arguments.files, seeds=arguments.seeds, only=arguments.only)
-    print(f"{suite.name}: {len(suite.cells)} cells. {suite.description}")
-    progress = _Progress()
+    print(f"{suite.name}: {len(suite.runs)} runs. {suite.description}")
+    bar, number = tqdm(unit="run", disable=not sys.stderr.isatty()), itertools.count(1)
+
+    def on_start(n_cached: int, n_left: int) -> None:
+        bar.reset(total=n_left)
+        if n_cached:
+            print(f"{n_cached} runs are finished already, {n_left} are left")
+
+    def on_record(run, record: dict) -> None:
+        bar.update()
+        line = f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s {run}"
+        if bar.disable:
+            print(line, flush=True)
+        elif record["status"] != "ok":
+            bar.write(line)
+
+    told = {"on_start": on_start, "on_record": on_record}
     try:
-        run = run_cells(
-            suite.cells,
-            Store(arguments.store),
-            n_jobs=arguments.jobs,
-            scheduler=arguments.scheduler,
-            on_record=progress.record,
-            on_start=progress.start,
-        )
+        with bar:
+            cache = ResultCache(arguments.cache)
+            outcome = run_suite(suite.runs, cache, n_jobs=arguments.jobs, scheduler=arguments.scheduler, **told)
     except KeyboardInterrupt:
-        progress.close()
-        print("stopped; the finished cells are kept, run again to go on", file=sys.stderr)
+        print("stopped; the finished runs are kept, run again to go on", file=sys.stderr)
         return 130
     except RunError as error:
-        progress.close()
         print(f"bench: {error}", file=sys.stderr)
         return 3
-    progress.close()
-    for message in run.corrupt:
+    for message in outcome.corrupt:
         print(message)
-    failed = [record for record in run.records if record["status"] != "ok"]
+    failed = [record for record in outcome.records if record["status"] != "ok"]
     print(
-        f"{len(run.records) - len(failed)} finished ({run.n_cached} of them before), {len(failed)} failed, "
+        f"{len(outcome.records) - len(failed)} finished ({outcome.n_cached} of them before), {len(failed)} failed, "
         f"{time.perf_counter() - began:.1f} s"
     )
     for record in failed[:10]:
-        last = (record.get("traceback") or "").strip().rpartition("\n")[2]
+        last = record["traceback"].strip().rpartition("\n")[2]
         print(f"  {record['status']}: {record['label']} {record['problem']} seed {record['seed']}: {last}")
     if arguments.only is None or arguments.results is not None:
-        path = (arguments.results or _RESULTS) / f"{suite.name}.parquet"
-        write(to_frame(suite.name, run.records), path)
-        print(f"wrote {path}")
+        _write(suite, outcome.records, arguments.results or _RESULTS)
     return 1 if failed else 0
 
 
 def _collect(arguments: argparse.Namespace) -> int:
-    from bench.results import to_frame, write
-    from bench.store import Store
+    from bench.cache import ResultCache
     from bench.suites import load_suite
 
-    suite, store = load_suite(arguments.suite), Store(arguments.store)
-    found = [(cell, store.read(cell.key) or store.failure(cell.key)) for cell in suite.cells]
-    records = [{**record, "label": cell.label} for cell, record in found if record is not None]
+    suite, cache = load_suite(arguments.suite), ResultCache(arguments.cache)
+    found = [(run, cache.read(run.key) or cache.read(run.key, "failed")) for run in suite.runs]
+    records = [{**record, "label": run.label} for run, record in found if record is not None]
     if not records:
-        raise ValueError(
-            f"{arguments.store}: no cell of {suite.name} is finished; run 'python -m bench run {suite.name}'"
-        )
-    path = arguments.results / f"{suite.name}.parquet"
-    write(to_frame(suite.name, records), path)
-    print(f"{len(records)} of {len(suite.cells)} cells; wrote {path}")
+        told = f"run 'python -m bench run {suite.name}'"
+        raise ValueError(f"{arguments.cache}: no run of {suite.name} is finished; {told}")
+    print(f"{len(records)} of {len(suite.runs)} runs")
+    _write(suite, records, arguments.results)
     return 0
 
 
-class _Progress:
-    """A bar with the time left on a terminal, a line for every cell elsewhere."""
+def _write(suite, records, folder: Path) -> None:
+    from bench.results import to_frame, write
 
-    def __init__(self):
-        self._bar, self._n_left, self._n_done = None, 0, 0
-
-    def start(self, n_cached: int, n_left: int) -> None:
-        self._n_left = n_left
-        if n_cached:
-            print(f"{n_cached} cells are finished already, {n_left} are left")
-        if n_left and sys.stderr.isatty():
-            self._bar = tqdm(total=n_left, unit="cell")
-
-    def record(self, cell, record: dict) -> None:
-        self._n_done += 1
-        if self._bar is not None:
-            self._bar.update()
-            if record["status"] != "ok":
-                self._bar.write(f"{record['status']}: {cell}")
-        else:
-            print(f"{self._n_done}/{self._n_left} {record['status']} {record['wall']:.2f} s {cell}", flush=True)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+    path = folder / f"{suite.name}.parquet"
+    write(to_frame(suite.name, records), path)
+    print(f"wrote {path}")
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -262,37 +189,39 @@ def _verify(arguments: argparse.Namespace) -> int:
     import pandas as pd
 
     from bench import results
-    from bench.runner import current_commit
-    from bench.verify import RULES, agrees, verify
+    from bench.provenance import current_commit
+    from bench.verify import verify
 
     names = arguments.suites or sorted(path.stem for path in arguments.results.glob("*.parquet"))
     if not names:
         raise ValueError(f"{arguments.results}: no tables of results there; name another folder with --results")
     frame = pd.concat([results.read(arguments.results / f"{name}.parquet") for name in names], ignore_index=True)
     made = ", ".join(sorted(frame.commit.unique()))
-    print(f"{arguments.cells} random cells of {', '.join(names)}; made at {made}, run again at {current_commit()}")
-    compared = verify(frame, arguments.cells, arguments.seed, n_replicas=arguments.replicas)
-    everything, reasons = [], set()
-    for cell, found in itertools.groupby(compared, lambda one: one.cell):
+    print(f"{arguments.runs} random runs of {', '.join(names)}; made at {made}, repeated at {current_commit()}")
+    compared = verify(frame, arguments.runs, arguments.seed, n_replicas=arguments.replicas)
+    everything, reasons = [], {""}
+    for run, found in itertools.groupby(compared, lambda one: one.run):
         verdicts = list(found)
-        for reason in sorted({one.reason for one in verdicts} - reasons - {""}):
+        for reason in sorted({one.reason for one in verdicts} - reasons):
             print(f"rows {reason}; bits need not be equal")
             reasons.add(reason)
-        print(f"{cell}: {_counts(verdicts, RULES)}", flush=True)
+        print(f"{run}: {_counts(verdicts)}", flush=True)
         for one in verdicts:
-            if one.metric == "edge_error" or not agrees(one):
+            if one.metric == "edge_error" or not one.agrees:
                 numbers = f"{one.before:.6g} then, {one.now:.6g} now, {one.interval:.2g} allowed"
                 print(f"  {one.verdict} ({one.rule}): {one.metric} {numbers}")
         everything += verdicts
-    n_doubtful = sum(not agrees(one) for one in everything)
-    print(f"{f'{n_doubtful} metrics differ' if n_doubtful else 'all agree'}; compared: {_counts(everything, RULES)}")
+    n_doubtful = sum(not one.agrees for one in everything)
+    print(f"{f'{n_doubtful} metrics differ' if n_doubtful else 'all agree'}; compared: {_counts(everything)}")
     return 1 if n_doubtful else 0
 
 
-def _counts(verdicts, rules) -> str:
+def _counts(verdicts) -> str:
     """How many metrics were compared by which rule, and how many have equal bits though that was not demanded."""
+    from bench.verify import RULES
+
     told = []
-    for rule in rules:
+    for rule in RULES:
         those = [one.verdict for one in verdicts if one.rule == rule]
         equal = f" ({those.count('equal')} in all bits)" if rule == "tolerance" else ""
         told += [f"{len(those)} by {rule}{equal}"] if those else []
@@ -300,8 +229,6 @@ def _counts(verdicts, rules) -> str:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    import tomllib
-
     from bench import methods, suites
 
     for name in suites.suite_names():

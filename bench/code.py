@@ -1,133 +1,62 @@
-"""Which modules a function may use, and a hash of their code: a cell is stale when one of them has changed.
-
-Comments, docstrings and layout do not count: they change no result.
-
-Imports are followed through the syntax tree, in the packages that are ours alone. A string that is the name of a method
-counts as a use of that method, since methods call each other by name. Too much may be followed, which only costs time;
-libraries of others are not, their versions are recorded with every result.
-"""
+"""Hashes of the source and of the data that a result depends on: a result is stale when one of them has changed."""
 
 import ast
 import hashlib
 import importlib
-import importlib.util
-import sys
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Mapping
+from functools import cache, lru_cache
 from pathlib import Path
 
-from bench import methods
-from fmsync.estimators.base import ESTIMATORS
-from fmsync.samplers.base import SAMPLERS
+import data_gen
+import fmsync
 
+_MEASURED_BY = ("bench.measure", "bench.metrics", "bench.planted")
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-_OURS = ("fmsync", "data_gen")  # beside the package of a generator or of a method
-_LAZY = "fmsync"  # the root package imports its rooms when asked: following it would find everything
 
 
-def used_modules(start: Iterable[str]) -> list[str]:
-    """Names of the modules reachable from some modules, those included, sorted.
+@cache
+def code_hash(generator_module: str, method_module: str) -> str:
+    """SHA-256 over the source of fmsync and data_gen, of what measures answers, and of two modules of a run.
+
+    Of the two modules, those files of ``bench`` count too that they import something from. Comments, docstrings and
+    layout do not count. The source is read once in a process, which has imported it.
 
     Examples
     --------
-    >>> from bench.code import used_modules
-    >>> found = used_modules(["fmsync.estimators.spectral"])
-    >>> "fmsync.so" in found, "fmsync.shape" in found
-    (True, False)
-    """
-    methods.names()  # registers all of them
-    waiting, found = list(start), set()
-    roots = _roots(waiting)
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting.extend(_imports(name, roots))
-    return sorted(found)
-
-
-def fingerprint(start: Iterable[str]) -> str:
-    """SHA-256 over names and syntax trees of the modules reachable from some modules."""
-    digest = hashlib.sha256()
-    for name in used_modules(start):
-        digest.update(f"{name}\n".encode())
-        digest.update(_code(name))
-    return digest.hexdigest()
-
-
-def _roots(start: Iterable[str]) -> frozenset[str]:
-    return frozenset({*_OURS, *(name.split(".")[0] for name in start)})
+    >>> from bench.code import code_hash
+    >>> mle, oracle = (code_hash("bench.problems", f"{name}") for name in ("fmsync.estimators.mle", "bench.methods.oracle"))
+    >>> mle == oracle
+    False
+    """  # noqa: E501
+    files = {file for package in (fmsync, data_gen) for file in Path(package.__file__).parent.rglob("*.py")}
+    names = {generator_module, method_module, *_MEASURED_BY}
+    for module in map(importlib.import_module, (generator_module, method_module)):
+        taken = {getattr(value, "__module__", None) or "" for value in vars(module).values()}
+        names |= {name for name in taken if name.startswith("bench.")}
+    files |= {Path(importlib.import_module(name).__file__) for name in names}
+    return hashlib.sha256("\n".join(sorted(map(_hash_of_code, files))).encode()).hexdigest()
 
 
 @cache
-def _imports(name: str, roots: frozenset[str]) -> frozenset[str]:
-    path = _file(name)
-    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    found: set[str] = set()
-    for node in ast.walk(_tree(name)):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                found |= _module(alias.name, roots)
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                base = importlib.util.resolve_name("." * node.level + base, package)
-            for alias in node.names:
-                found |= _name_in(base, alias.name, roots)
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == _LAZY:
-            found |= _name_in(_LAZY, node.attr, roots)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found |= _method(node.value)
-    return frozenset(found - {name, _LAZY})
-
-
-def _module(name: str, roots: frozenset[str]) -> set[str]:
-    return {name} if name.split(".")[0] in roots and name != _LAZY else set()
-
-
-def _name_in(base: str, name: str, roots: frozenset[str]) -> set[str]:
-    """``from base import name``: a submodule, or whatever the package got the name from."""
-    if base.split(".")[0] not in roots:
-        return set()
-    if importlib.util.find_spec(f"{base}.{name}") if _is_package(base) else False:
-        return {f"{base}.{name}"}
-    home = getattr(getattr(importlib.import_module(base), name, None), "__module__", base)
-    return _module(base, roots) | _module(home if home.split(".")[0] in roots else base, roots)
-
-
-def _is_package(name: str) -> bool:
-    return _file(name).name == "__init__.py"
-
-
-def _method(name: str) -> set[str]:
-    entry = ESTIMATORS.get(name) or SAMPLERS.get(name)
-    return set() if entry is None else {entry.__module__}
-
-
-def method_modules(name: str) -> set[str]:
-    """Module of a method of the benchmark, and those that run it."""
-    entry = methods.get(name)
-    runner = {"estimator": {"fmsync.estimators.solve"}, "sampler": {"fmsync.samplers.sample"}}
-    return {entry.module} | runner.get(entry.kind, set())
-
-
-@cache
-def _file(name: str) -> Path:
-    loaded = getattr(sys.modules.get(name), "__file__", None)
-    return Path(loaded or importlib.util.find_spec(name).origin)
-
-
-@cache
-def _code(name: str) -> bytes:
-    """What is hashed of a module; most methods share most modules."""
-    return ast.dump(_tree(name)).encode()
-
-
-@cache
-def _tree(name: str) -> ast.Module:
-    """Syntax tree of a module without its docstrings."""
-    tree = ast.parse(_file(name).read_bytes())
+def _hash_of_code(file: Path) -> str:
+    tree = ast.parse(file.read_bytes())
     for node in ast.walk(tree):
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             del node.body[0]
-    return tree
+    return f"{file.name} {hashlib.sha256(ast.dump(tree).encode()).hexdigest()}"
+
+
+def data_hash(generator: str, problem: Mapping[str, object]) -> str:
+    """SHA-256 over names and bytes of the files that a problem is read from; empty where there are none.
+
+    A generator's module says which they are in a function ``data_files(problem)``, if it reads any.
+    """
+    files_of = getattr(importlib.import_module(generator.partition(":")[0]), "data_files", None)
+    files = files_of(problem) if files_of else []
+    told = [f"{file.name}\n{_hash_of_data(file, file.stat().st_mtime_ns, file.stat().st_size)}\n" for file in files]
+    return hashlib.sha256("".join(told).encode()).hexdigest() if told else ""
+
+
+@lru_cache(maxsize=1024)
+def _hash_of_data(file: Path, mtime_ns: int, size: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""Every metric that makes sense for an answer. Part of the address of a cell: an edit here makes all cells stale."""
+"""Every metric that makes sense for an answer."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from bench import metrics
 from bench.planted import Planted
-from fmsync import oracle
+from fmsync import calibration, oracle
 from fmsync.functional_maps import point_map
 from fmsync.problem import cycle_error
 
@@ -55,11 +55,11 @@ def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> It
     edges = edges[metrics.thinned(len(edges), _MOST_EDGES)]
     truth = planted.relative(edges)
     relative = np.swapaxes(chosen[:, edges[:, 0]], -1, -2) @ chosen[:, edges[:, 1]]
-    yield "energy_score", None, metrics.energy_score(relative, truth)
-    coverage = metrics.covered(relative, truth).mean(axis=1)
+    yield "energy_score", None, calibration.energy_score(relative, truth)
+    coverage = calibration.covered(relative, truth, metrics.LEVELS).mean(axis=1)
     for level, share in zip(metrics.LEVELS, coverage):
         yield f"coverage_{round(100 * level)}", None, share
-    yield "calibration_error", None, metrics.calibration_error(coverage)
+    yield "calibration_error", None, calibration.calibration_error(coverage, metrics.LEVELS)
     counts = np.unique(np.geomspace(1, len(chosen), 13).astype(int))
     accuracy = oracle.oracle_accuracy(chosen, planted.truth, counts)
     yield "oracle_accuracy", None, accuracy[-1]
@@ -68,11 +68,14 @@ def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> It
 
 
 def _measure_points(planted: Planted, pairs: np.ndarray, maps: np.ndarray) -> Iterator:
-    errors = []
-    for (i, j), c in zip(pairs, maps):
-        sent = point_map(c, planted.bases[i], planted.bases[j], planted.scored)
-        errors.append(metrics.point_errors(sent, planted.distances[j]))
-    errors = np.concatenate(errors)
+    errors = np.concatenate(
+        [
+            planted.distances[j][
+                np.arange(len(planted.scored)), point_map(c, planted.bases[i], planted.bases[j], planted.scored)
+            ]
+            for (i, j), c in zip(pairs, maps)
+        ]
+    )
     yield "point_error", None, errors.mean()
     yield "point_area", None, metrics.area_under_curve(errors, _LARGEST_POINT_ERROR)
     thresholds = np.linspace(0, _LARGEST_POINT_ERROR, 26)

@@ -1,39 +1,31 @@
-"""One tidy table a suite: a row for every number of every cell, kept as Parquet; intervals and comparisons."""
+"""One tidy table a suite: a row for every number of every run, kept as Parquet; intervals and comparisons."""
 
-import contextlib
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from bench.cache import replacing
 from bench.metrics import METRICS
 
 #: Parameters of problems that have a column of their own; the rest stays in ``problem``.
-PARAMETERS = (
-    "n_nodes",
-    "n",
-    "density",
-    "sigma2",
-    "kappa",
-    "noise",
-    "two_way",
-    "outliers",
-    "around",
-    "collection",
+_NUMBERS = ("n_nodes", "n", "density", "sigma2", "kappa", "outliers")
+PARAMETERS = (*_NUMBERS, "noise", "two_way", "around", "collection")
+_WHAT = (
+    *("generator", "problem", "seed", "label", "method", "options", "status"),
+    *("commit", "machine", "versions", "arithmetic", "code"),
 )
 _RESAMPLES = 2000
-_TIMINGS = ("seconds", "cpu_seconds", "peak_memory", "ess_per_second")
 
 
 def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
-    """A row for every number of every cell; failed cells have one row, of no metric.
+    """A row for every number of every run; failed runs have one row, of no metric.
 
-    Columns: what the cell is, metric, at, value, unit, direction, and where the number comes from: commit, machine,
-    versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (fingerprint of the modules of the method, see
-    :mod:`bench.code`). The last two are None for cells that finished before they were recorded.
+    Columns: what the run is, metric, at, value, unit, direction, and where the number comes from: commit, machine,
+    versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (:func:`bench.code.code_hash`). The last two are
+    None for runs that finished before they were recorded.
 
     Examples
     --------
@@ -44,47 +36,25 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     """  # noqa: E501
     rows = []
     for record in records:
-        problem = record["problem"]
-        cell = {
-            "suite": suite,
-            "generator": record["generator"],
-            "problem": json.dumps(problem, sort_keys=True),
-            **{name: problem.get(name) for name in PARAMETERS},
-            "seed": record["seed"],
-            "label": record["label"],
-            "method": record["method"],
-            "options": json.dumps(record["options"], sort_keys=True),
-            "status": record["status"],
-            "detail": (record.get("traceback") or "").strip().rpartition("\n")[2] or None,
-            "commit": record["commit"],
-            "machine": record["machine"],
-            "versions": record["versions"],
-            "arithmetic": record.get("arithmetic"),
-            "code": record.get("code"),
-        }
+        run = {"suite": suite} | {name: record.get(name) for name in _WHAT} | {name: None for name in PARAMETERS}
+        run |= {name: value for name, value in record["problem"].items() if name in PARAMETERS}
+        run |= {name: json.dumps(record[name], sort_keys=True) for name in ("problem", "options")}
+        run["detail"] = (record.get("traceback") or "").strip().rpartition("\n")[2] or None
         for name, at, value in record["metrics"] or [(None, None, np.nan)]:
             metric = METRICS.get(name)
             unit, direction = (metric.unit, metric.direction) if metric else (None, None)
-            rows.append({**cell, "metric": name, "at": at, "value": value, "unit": unit, "direction": direction})
+            rows.append({**run, "metric": name, "at": at, "value": value, "unit": unit, "direction": direction})
     frame = pd.DataFrame(rows)
-    numeric = ["n_nodes", "n", "density", "sigma2", "kappa", "outliers", "at", "value"]
+    numeric = [*_NUMBERS, "at", "value"]
     frame[numeric] = frame[numeric].apply(pd.to_numeric)
     return frame
 
 
 def write(frame: pd.DataFrame, path: str | Path) -> None:
-    """Write Parquet under a temporary name and rename it."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
+    """Write Parquet; the file appears whole or not at all."""
     repeated = [name for name in frame.columns if frame[name].dtype == object]
-    try:
+    with replacing(Path(path)) as temporary:
         frame.astype({name: "category" for name in repeated}).to_parquet(temporary, compression="zstd", index=False)
-        os.replace(temporary, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 def read(path: str | Path) -> pd.DataFrame:
@@ -132,7 +102,7 @@ def compare(before: pd.DataFrame, after: pd.DataFrame, tolerance: float = 0.01) 
     """What changed between two results of a suite, in paired seeds.
 
     A row for every method, metric and problem whose relative change exceeds ``tolerance`` (five times that for seconds
-    and memory) and whose bootstrap interval of the paired differences excludes 0, and for every cell that failed in one
+    and memory) and whose bootstrap interval of the paired differences excludes 0, and for every run that failed in one
     of the two alone. Metrics without a better direction are left out.
 
     Returns
@@ -152,13 +122,13 @@ def compare(before: pd.DataFrame, after: pd.DataFrame, tolerance: float = 0.01) 
         change = (new - old) / max(abs(old), 1e-9)
         difference = group.value_after - group.value_before
         low, high = bootstrap(difference) if len(group) > 1 else (difference.iloc[0],) * 2
-        limit = tolerance * (5 if metric.name in _TIMINGS else 1)
+        limit = tolerance * (5 if metric.tolerance is None else 1)
         if abs(change) > limit and (low > 0 or high < 0):
             worse = (change > 0) == (metric.direction == "lower")
             rows.append((key[2], key[3], key[1], old, new, change, "worse" if worse else "better"))
-    cells = ["generator", "problem", "label", "seed"]
-    status = [frame.drop_duplicates(cells)[[*cells, "status"]] for frame in (before, after)]
-    both = status[0].merge(status[1], on=cells, suffixes=("_before", "_after"))
+    which = ["generator", "problem", "label", "seed"]
+    status = [frame.drop_duplicates(which)[[*which, "status"]] for frame in (before, after)]
+    both = status[0].merge(status[1], on=which, suffixes=("_before", "_after"))
     for row in both[(both.status_before == "ok") != (both.status_after == "ok")].itertuples():
         verdict = f"{row.status_before} -> {row.status_after}"
         rows.append((row.label, "status", f"{row.problem} seed {row.seed}", np.nan, np.nan, np.nan, verdict))

@@ -4,9 +4,8 @@
 
     description = "What the suite shows"
     seeds = 10                      # problems of every kind, the same for every method
-    seconds = 60                    # limit of a cell
-    memory = 2000                   # limit of a cell, MB above what the process holds before it
-    together = true                 # chains of all seeds as one batch, where a method can; then their times are shares
+    seconds = 60                    # limit of a run
+    memory = 2000                   # limit of a run, MB above what the process holds before it
     methods_of = "paper"            # the names of methods that another suite has made, beside those made here
 
     [method.mc]                     # a name of your own for a method with options; bare names need no table
@@ -20,7 +19,6 @@
 """
 
 import difflib
-import hashlib
 import importlib
 import inspect
 import itertools
@@ -28,14 +26,12 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from bench import methods
-from bench.code import fingerprint, method_modules
-from bench.store import key_of
+from bench.cache import key_of
+from bench.code import code_hash, data_hash
 
 _FOLDER = Path(__file__).parent
 _TOP = {
@@ -43,7 +39,6 @@ _TOP = {
     "seeds": int,
     "seconds": (int, float),
     "memory": (int, float),
-    "together": bool,
     "methods_of": str,
     "grid": list,
     "method": dict,
@@ -52,19 +47,17 @@ _GRID = {"generator": str, "problem": dict, "methods": list, "seeds": int, "seco
 
 
 @dataclass(frozen=True)
-class Cell:
+class Run:
     """One method on one problem.
 
     Attributes
     ----------
     label
-        Name in the tables; ``method`` with ``options`` is what runs.
+        Name in the tables; ``method`` with ``options`` is what is executed.
     seconds, memory
-        Limits; not part of what the cell is.
+        Limits; not part of what the run is.
     file
         File that registers the method, when it is not part of the package.
-    together
-        Whether it may run as one batch with cells that differ in their seed alone.
     """
 
     generator: str
@@ -76,25 +69,28 @@ class Cell:
     seconds: float = 60.0
     memory: float = 2000.0
     file: str | None = None
-    together: bool = False
 
     @cached_property
     def content(self) -> dict:
-        """What determines the result, and so the cell's address; the label does not."""
-        code = {"method": method_modules(self.method), "generator": {self.generator.partition(":")[0]}}
+        """What determines the result; the label does not."""
         return {
             "generator": self.generator,
             "problem": dict(self.problem),
             "seed": self.seed,
             "method": self.method,
             "options": dict(self.options),
-            "code": _fingerprint(frozenset(code["method"] | code["generator"] | {"bench.measure"})),
-            "data": data_fingerprint(self.generator, self.problem),
+            "code": self.code,
+            "data": data_hash(self.generator, self.problem),
         }
+
+    @property
+    def code(self) -> str:
+        """Hash of the source, as this process has it."""
+        return code_hash(self.generator.partition(":")[0], self.module)
 
     @cached_property
     def key(self) -> str:
-        """Address of the cell in a store."""
+        """Name of the result in the cache."""
         return key_of(self.content)
 
     @cached_property
@@ -113,7 +109,7 @@ class Suite:
 
     name: str
     description: str
-    cells: tuple[Cell, ...]
+    runs: tuple[Run, ...]
 
 
 class SuiteError(ValueError):
@@ -121,14 +117,7 @@ class SuiteError(ValueError):
 
 
 def suite_names() -> list[str]:
-    """Suites of the package.
-
-    Examples
-    --------
-    >>> from bench.suites import suite_names
-    >>> "smoke" in suite_names()
-    True
-    """
+    """Suites of the package."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
@@ -136,10 +125,13 @@ def suite_file(name: str | Path) -> Path:
     """File of a suite of the package, or the ``.toml`` file itself; a SuiteError offers near names."""
     path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
     if not path.is_file():
-        close = difflib.get_close_matches(str(name), suite_names())
-        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(suite_names())}"
-        raise SuiteError(f"suite: there is no {str(name)!r}; {hint}")
+        raise SuiteError(f"suite: there is no {str(name)!r}; {_hint(str(name), suite_names())}")
     return path
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, known)
+    return f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(sorted(known))}"
 
 
 def load_suite(
@@ -156,44 +148,37 @@ def load_suite(
     seeds
         At most so many seeds, and no more than the file says.
     only
-        Keep the cells whose description (``str(cell)``) matches this regular expression.
-
-    Raises
-    ------
-    SuiteError
-        Unknown suite (offers near names), a key that means nothing (names line and key), a method, option, generator or
-        problem parameter that does not exist.
+        Keep the runs whose description (``str(run)``) matches this regular expression.
     """
     base, _, collection = str(name).partition("@")
     path = suite_file(base if collection else name)
     if seeds is not None and seeds < 1:
         raise SuiteError(f"seeds: need at least one, got {seeds}")
-    text = path.read_text(encoding="utf-8")
     extra = {added: str(Path(file).resolve()) for file in files for added in methods.load(file)}
-    cells = _Reader(path, text, extra).cells(seeds)
+    reader = _Reader(path, extra)
+    runs = reader.runs(seeds)
     if collection:
-        cells = _of_collection(cells, collection, path)
+        runs = _of_collection(runs, collection, path)
     if only is not None:
         try:
-            cells = [cell for cell in cells if re.search(only, str(cell))]
+            runs = [run for run in runs if re.search(only, str(run))]
         except re.error as error:
             raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
-        if not cells:
-            raise SuiteError(f"only: no cell of {path.stem} matches {only!r}")
-    return Suite(
-        f"{path.stem}@{collection}" if collection else path.stem, tomllib.loads(text)["description"], tuple(cells)
-    )
+        if not runs:
+            raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
+    named = f"{path.stem}@{collection}" if collection else path.stem
+    return Suite(named, reader.file["description"], tuple(runs))
 
 
-def _of_collection(cells: Iterable[Cell], collection: str, path: Path) -> list[Cell]:
-    """The cells on shapes, with the shapes of another collection, all of which must be on this machine."""
+def _of_collection(runs: Iterable[Run], collection: str, path: Path) -> list[Run]:
+    """The runs on shapes, with the shapes of another collection, all of which must be on this machine."""
     if Path(collection).name != collection:
         raise SuiteError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
-    moved = [replace(c, problem={**c.problem, "collection": collection}) for c in cells if "collection" in c.problem]
+    moved = [replace(c, problem={**c.problem, "collection": collection}) for c in runs if "collection" in c.problem]
     if not moved:
         raise SuiteError(f"{path}: no grid names a collection that {collection!r} could replace")
     try:
-        data_fingerprint(moved[0].generator, moved[0].problem)
+        data_hash(moved[0].generator, moved[0].problem)
     except ValueError as error:
         raise SuiteError(f"collection: {error}") from error
     return moved
@@ -208,116 +193,69 @@ def generator_function(generator: str) -> Callable:
         raise ValueError(f"generator: {generator!r} cannot be imported ({error}); write 'module:function'") from error
 
 
-def data_fingerprint(generator: str, problem: Mapping[str, object]) -> str:
-    """SHA-256 over names and bytes of the files that a problem is read from; empty where there are none.
-
-    A generator's module says which they are in a function ``data_files(problem)``, if it reads any.
-    """
-    files_of = getattr(importlib.import_module(generator.partition(":")[0]), "data_files", None)
-    files = files_of(problem) if files_of else []
-    if not files:
-        return ""
-    digest = hashlib.sha256()
-    for file in files:
-        stat = file.stat()
-        digest.update(f"{file.name}\n{_file_hash(file, stat.st_mtime_ns, stat.st_size)}\n".encode())
-    return digest.hexdigest()
-
-
-@lru_cache(maxsize=1024)
-def _file_hash(file: Path, mtime_ns: int, size: int) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
 class _Reader:
     """Checks a file from top to bottom, so that nothing starts which would stop half-way."""
 
-    def __init__(self, path: Path, text: str, extra: Mapping[str, str]):
-        self._path, self._text, self._extra = path, text, extra
+    def __init__(self, path: Path, extra: Mapping[str, str]):
+        self._path, self._text, self._extra = path, path.read_text(encoding="utf-8"), extra
         try:
-            self.file = tomllib.loads(text)
+            self.file = tomllib.loads(self._text)
         except tomllib.TOMLDecodeError as error:
             raise SuiteError(f"{path}: {error}") from None
-        self._check(self.file, _TOP, "")
-        for needed in ("description", "seeds", "grid"):
-            if needed not in self.file:
-                raise SuiteError(f"{path}: {needed} is missing")
-        tables = self.file.get("method", {})
+        self._check(self.file, _TOP, "suite", ("description", "seeds", "grid"))
+        self._tables = self.file.get("method", {})
         if other := self.file.get("methods_of"):
-            file = suite_file(other)
-            tables = _Reader(file, file.read_text(encoding="utf-8"), {}).file.get("method", {}) | tables
-        self._entries = {label: self._entry(label, table) for label, table in tables.items()}
+            self._tables = _Reader(suite_file(other), {}).file.get("method", {}) | self._tables
+        for label in self._tables:
+            self._entry(label)
 
-    def cells(self, seeds: int | None) -> list[Cell]:
-        cells = []
+    def runs(self, seeds: int | None) -> list[Run]:
+        runs = []
         for grid in self.file["grid"]:
-            self._check(grid, _GRID, "grid")
-            for needed in ("generator", "problem", "methods"):
-                if needed not in grid:
-                    raise SuiteError(f"{self._where('[[grid]]')}: {needed} is missing in a grid")
-            self._check_problem(grid["generator"], grid["problem"])
-            entries = [(label, *self._entry_of(label)) for label in grid["methods"]]
-            used = {method for _, method, _ in entries}
-            entries += [(label, *self._entry_of(label)) for label in self._extra if label not in used]
-            limit = grid.get("seconds", self.file.get("seconds", 60))
-            memory = self.file.get("memory", 2000)
-            n_seeds = min(seeds or np.inf, grid.get("seeds", self.file["seeds"]))
+            self._check(grid, _GRID, "grid", ("generator", "problem", "methods"))
+            generator, limit = grid["generator"], float(grid.get("seconds", self.file.get("seconds", 60)))
+            try:
+                known = set(inspect.signature(generator_function(generator)).parameters) - {"seed"}
+            except ValueError as error:
+                raise SuiteError(f"{self._where(generator)}: {error}") from None
+            self._check_names(grid["problem"], known, f"problem of {generator}")
+            entries = {label: self._entry(label) for label in grid["methods"]}
+            used = {method for method, _ in entries.values()}
+            entries |= {label: self._entry(label) for label in self._extra if label not in used}
+            memory, most = float(self.file.get("memory", 2000)), grid.get("seeds", self.file["seeds"])
             for problem in _sweep(grid["problem"]):  # problem by problem: a worker makes each once
-                for seed in range(int(n_seeds)):
-                    for label, method, options in entries:
-                        cells.append(
-                            Cell(
-                                grid["generator"],
-                                problem,
-                                seed,
-                                label,
-                                method,
-                                options,
-                                float(limit),
-                                float(memory),
-                                self._extra.get(method),
-                                self.file.get("together", False),
-                            )
-                        )
-        return cells
+                for seed in range(min(seeds or most, most)):
+                    for label, (method, options) in entries.items():
+                        file = self._extra.get(method)
+                        runs.append(Run(generator, problem, seed, label, method, options, limit, memory, file))
+        return runs
 
-    def _entry_of(self, label: str) -> tuple[str, dict]:
-        return self._entries[label] if label in self._entries else self._entry(label, {"use": label})
-
-    def _entry(self, label: str, table: Mapping) -> tuple[str, dict]:
-        options = {key: value for key, value in table.items() if key != "use"}
-        name = table.get("use", label)
+    def _entry(self, label: str) -> tuple[str, dict]:
+        """Method and options of a label: those of its table, if it has one."""
+        options = dict(self._tables.get(label, {}))
+        name = options.pop("use", label)
         try:
             known = methods.get(name).option_names
         except ValueError as error:
             raise SuiteError(f"{self._where(name)}: {error}") from None
-        for option in options:
-            if known is not None and option not in known:
-                raise SuiteError(self._unknown(option, known, f"method {label}"))
+        if known is not None:
+            self._check_names(options, known, f"method {label}")
         return name, options
 
-    def _check_problem(self, generator: str, problem: Mapping) -> None:
-        try:
-            known = set(inspect.signature(generator_function(generator)).parameters) - {"seed"}
-        except ValueError as error:
-            raise SuiteError(f"{self._where(generator)}: {error}") from None
-        for parameter in problem:
-            if parameter not in known:
-                raise SuiteError(self._unknown(parameter, known, f"problem of {generator}"))
-
-    def _check(self, table: Mapping, known: Mapping[str, type], name: str) -> None:
+    def _check(self, table: Mapping, known: Mapping[str, type], where: str, needed: Iterable[str]) -> None:
+        self._check_names(table, known, where)
         for key, value in table.items():
-            if key not in known:
-                raise SuiteError(self._unknown(key, known, name or "suite"))
-            if not isinstance(value, known[key]) or (isinstance(value, bool) and known[key] is not bool):
+            if not isinstance(value, known[key]) or isinstance(value, bool):
                 raise SuiteError(f"{self._where(key)}: {key} = {value!r} has the wrong type")
             if key in ("seeds", "seconds", "memory") and value <= 0:
                 raise SuiteError(f"{self._where(key)}: {key} must be > 0, got {value}")
+        if missing := [key for key in needed if key not in table]:
+            raise SuiteError(f"{self._where(f'[[{where}]]')}: {missing[0]} is missing")
 
-    def _unknown(self, key: str, known: Iterable[str], where: str) -> str:
-        close = difflib.get_close_matches(key, known)
-        hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(sorted(known))}"
-        return f"{self._where(key)}: {where} has no key {key!r}; {hint}"
+    def _check_names(self, keys: Iterable[str], known: Iterable[str], where: str) -> None:
+        for key in keys:
+            if key not in known:
+                raise SuiteError(f"{self._where(key)}: {where} has no key {key!r}; {_hint(key, known)}")
 
     def _where(self, word: str) -> str:
         pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")
@@ -329,12 +267,3 @@ def _sweep(problem: Mapping[str, object]) -> list[dict]:
     """Every combination of the values that are lists."""
     choices = [value if isinstance(value, list) else [value] for value in problem.values()]
     return [dict(zip(problem, combination)) for combination in itertools.product(*choices)]
-
-
-_FINGERPRINTS: dict[frozenset[str], str] = {}
-
-
-def _fingerprint(modules: frozenset[str]) -> str:
-    if modules not in _FINGERPRINTS:  # the same for thousands of cells
-        _FINGERPRINTS[modules] = fingerprint(sorted(modules))
-    return _FINGERPRINTS[modules]

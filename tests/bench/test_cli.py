@@ -4,19 +4,17 @@ import io
 import re
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from bench import results
 from bench.__main__ import main
-
-TRICKS = str(Path(__file__).with_name("tricks.py"))
+from tests.bench.helpers import TRICKS
 
 
 def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     """The benchmark works on this machine; within a minute when nobody else wants it."""
-    places = ["--store", str(tmp_path / "cells"), "--results", str(tmp_path)]
+    places = ["--cache", str(tmp_path / "cache"), "--results", str(tmp_path)]
     assert main(["run", "smoke", "--jobs", "2", *places]) == 0
     first = capsys.readouterr().out
     assert " 0 failed" in first
@@ -39,7 +37,7 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     assert "oracle" in capsys.readouterr().out
     assert main(["compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
     assert "no difference" in capsys.readouterr().out
-    assert main(["collect", "smoke", "--store", str(tmp_path / "cells"), "--results", str(tmp_path / "c")]) == 0
+    assert main(["collect", "smoke", "--cache", str(tmp_path / "cache"), "--results", str(tmp_path / "c")]) == 0
     assert len(results.read(tmp_path / "c" / "smoke.parquet")) == len(frame)
 
 
@@ -49,7 +47,7 @@ def test_a_bar_with_the_time_left_on_a_terminal_and_lines_elsewhere(tmp_path, mo
     screen.isatty = lambda: terminal
     monkeypatch.setattr(sys, "stderr", screen)
     chosen = ["--only", "^(spectral|trick-raise) .*n_nodes=6 .*", "--seeds", "1", "--with", TRICKS]
-    main(["run", "smoke", *chosen, "--jobs", "1", "--store", str(tmp_path)])
+    main(["run", "smoke", *chosen, "--jobs", "1", "--cache", str(tmp_path)])
     out = capsys.readouterr().out
     lines = [line for line in out.splitlines() if re.match(r"\d+/\d+ ", line)]
     if terminal:
@@ -62,9 +60,9 @@ def test_a_bar_with_the_time_left_on_a_terminal_and_lines_elsewhere(tmp_path, mo
         assert any(" error " in line for line in lines)
 
 
-def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
+def test_failing_runs_give_status_one_and_their_reason(tmp_path, capsys):
     arguments = ["run", "smoke", "--with", TRICKS, "--only", "^trick-raise .*seed=0", "--seeds", "1"]
-    assert main([*arguments, "--store", str(tmp_path), "--jobs", "1"]) == 1
+    assert main([*arguments, "--cache", str(tmp_path), "--jobs", "1"]) == 1
     assert "RuntimeError: the trick failed" in capsys.readouterr().out
 
 
@@ -75,7 +73,7 @@ def test_failing_cells_give_status_one_and_their_reason(tmp_path, capsys):
         (["run", "smoke", "--with", "missing.py"], "no such file"),
         (["run", "smoke", "--backend", "dask"], "--scheduler"),
         (["report", "nothing"], "python -m bench run nothing"),
-        (["collect", "smoke", "--store", "no-such-folder"], "no cell of smoke"),
+        (["collect", "smoke", "--cache", "no-such-folder"], "no run of smoke"),
     ],
 )
 def test_bad_input_ends_with_one_line(arguments, message, capsys):

@@ -1,4 +1,4 @@
-"""Which edits make a cell stale."""
+"""Which edits make a result stale."""
 
 import sys
 
@@ -9,54 +9,47 @@ from bench import code
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
+    """A package in the place of the project's own, with a method's file outside of it."""
     folder = tmp_path / "stale_package"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
-    (folder / "a.py").write_text("from stale_package import b\nfrom .c import f\n")
-    (folder / "b.py").write_text("import numpy\n")
-    (folder / "c.py").write_text("def f(): import stale_package.d\n")
-    (folder / "d.py").write_text("METHOD = 'robust'\n")
-    (folder / "e.py").write_text("")
+    (folder / "a.py").write_text("def f():\n    return 1\n")
+    (tmp_path / "stale_method.py").write_text("X = 1\n")
+    (tmp_path / "stale_rival.py").write_text("X = 1\n")
     monkeypatch.syspath_prepend(tmp_path)
-    yield folder
-    for name in [name for name in sys.modules if name.startswith("stale_package")]:
+    monkeypatch.setattr(code, "fmsync", __import__("stale_package"))
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("stale_")]:
         del sys.modules[name]
-    code._code.cache_clear(), code._tree.cache_clear(), code._imports.cache_clear(), code._file.cache_clear()
+    forget()
 
 
-def test_imports_are_followed_and_strangers_are_not(package):
-    found = code.used_modules(["stale_package.a"])
-    assert {f"stale_package.{name}" for name in "abcd"} <= set(found)
-    assert "stale_package.e" not in found
-    assert "numpy" not in found
-    assert "fmsync.estimators.robust" in found  # by its name
-    assert "fmsync.langevin" in found
+def forget():
+    """What a new process does not know."""
+    code.code_hash.cache_clear(), code._hash_of_code.cache_clear()
 
 
 @pytest.mark.parametrize(
     ("edited", "text", "stale"),
     [
-        ("b", "X = 1\n", True),
-        ("d", "X = 1\n", True),
-        ("e", "X = 1\n", False),
-        ("b", '"""What it is."""\nimport numpy  # why\n', False),
-        ("c", 'def f():\n    "What it does."\n    import stale_package.d\n', False),
-        ("c", 'def f():\n    "What it does."\n    return import_module("stale_package.d")\n', True),
+        ("stale_package/a.py", "def f():\n    return 2\n", True),
+        ("stale_package/a.py", '"""What it is."""\n\n\ndef f():\n    "What it does."\n    return 1  # why\n', False),
+        ("stale_package/new.py", "", True),
+        ("stale_method.py", "X = 2\n", True),
+        ("stale_rival.py", "X = 2\n", False),
     ],
 )
 def test_an_edit_shows_where_it_matters(package, edited, text, stale):
-    before = code.fingerprint(["stale_package.a"])
-    (package / f"{edited}.py").write_text(text)
-    code._code.cache_clear(), code._tree.cache_clear(), code._imports.cache_clear()
-    assert (code.fingerprint(["stale_package.a"]) != before) == stale
+    forget()
+    before = code.code_hash("bench.problems", "stale_method")
+    (package / edited).write_text(text)
+    forget()
+    assert (code.code_hash("bench.problems", "stale_method") != before) == stale
 
 
-def test_methods_do_not_depend_on_their_rivals():
-    assert "fmsync.estimators.robust" not in code.used_modules(code.method_modules("spectral"))
-    assert "fmsync.estimators.mle" in code.used_modules(code.method_modules("mean-of-starts"))
-    assert "fmsync.samplers.rlfm" in code.used_modules(code.method_modules("rlfm"))
-
-
-def test_problems_depend_on_what_makes_their_data():
-    found = set(code.used_modules(["bench.problems"]))
-    assert {"fmsync.bounds", "data_gen.noise", "data_gen.cats", "data_gen.cache"} <= found
+def test_methods_do_not_depend_on_their_rivals_but_on_what_they_take_from_them(monkeypatch):
+    read = []
+    monkeypatch.setattr(code, "_hash_of_code", lambda file: read.append(file.name) or file.name)
+    code.code_hash.__wrapped__("bench.problems", "bench.methods.consistent_zoomout")
+    assert {"consistent_zoomout.py", "pyfm_network.py", "problems.py", "measure.py", "metrics.py"} <= set(read)
+    assert not {"convergence.py", "scipy_eigh.py"} & set(read)

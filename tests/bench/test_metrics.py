@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench import metrics
-from fmsync import oracle
+from fmsync import calibration, oracle
 from fmsync.problem import cycle_error
 
 
@@ -28,7 +28,7 @@ def test_energy_score_by_hand():
     truth = np.zeros((1, 2, 2))
     truth[0, 0, 0] = 1.0
     # distances to the truth 1, 0, 2: mean 1; between draws 1, 3, 2: mean 2
-    assert metrics.energy_score(draws, truth) == pytest.approx(1.0 - 2.0 / 2)
+    assert calibration.energy_score(draws, truth) == pytest.approx(1.0 - 2.0 / 2)
 
 
 def test_energy_score_against_its_slow_twin():
@@ -39,13 +39,15 @@ def test_energy_score_against_its_slow_twin():
         near = np.mean([np.linalg.norm(x - truth[pair]) for x in draws[:, pair]])
         apart = [np.linalg.norm(draws[a, pair] - draws[b, pair]) for a in range(7) for b in range(7) if a != b]
         slow += (near - np.mean(apart) / 2) / 3
-    assert metrics.energy_score(draws, truth) == pytest.approx(slow)
+    assert calibration.energy_score(draws, truth) == pytest.approx(slow)
 
 
 def test_energy_score_prefers_the_right_width():
     rng = np.random.default_rng(1)
     truth = rng.standard_normal((400, 2, 2))
-    scores = [metrics.energy_score(width * rng.standard_normal((100, 400, 2, 2)), truth) for width in (0.3, 1.0, 3.0)]
+    scores = [
+        calibration.energy_score(width * rng.standard_normal((100, 400, 2, 2)), truth) for width in (0.3, 1.0, 3.0)
+    ]
     assert scores[1] < min(scores[0], scores[2]) - 0.02
 
 
@@ -55,23 +57,23 @@ def test_coverage_by_hand():
     for distance, inside in ((2.4, [True, True]), (3.0, [False, True]), (4.0, [False, False])):
         truth = np.zeros((1, 2, 2))
         truth[0, 0, 0] = distance
-        np.testing.assert_array_equal(metrics.covered(draws, truth, levels=(0.5, 0.8))[:, 0], inside)
+        np.testing.assert_array_equal(calibration.covered(draws, truth, (0.5, 0.8))[:, 0], inside)
 
 
 def test_coverage_of_exact_draws_is_what_was_promised():
     rng = np.random.default_rng(2)
-    coverage = metrics.covered(rng.standard_normal((2000, 1000, 3, 3)), rng.standard_normal((1000, 3, 3))).mean(axis=1)
+    coverage = calibration.covered(
+        rng.standard_normal((2000, 1000, 3, 3)), rng.standard_normal((1000, 3, 3)), metrics.LEVELS
+    ).mean(axis=1)
     np.testing.assert_allclose(coverage, metrics.LEVELS, atol=0.045)  # three standard errors at one half
 
 
 def test_calibration_error_by_hand():
-    assert metrics.calibration_error([0.4, 1.0], levels=(0.5, 0.8)) == pytest.approx(0.15)
+    assert calibration.calibration_error([0.4, 1.0], (0.5, 0.8)) == pytest.approx(0.15)
 
 
-def test_point_errors_curve_and_area_by_hand():
-    line = np.abs(np.arange(4)[:, None] - np.arange(4)) / 10.0
-    errors = metrics.point_errors(np.array([0, 0, 0, 3]), line)
-    np.testing.assert_allclose(errors, [0.0, 0.1, 0.2, 0.0])
+def test_curve_and_area_by_hand():
+    errors = [0.0, 0.1, 0.2, 0.0]
     np.testing.assert_allclose(metrics.cumulative_curve(errors, [0.0, 0.15, 0.3]), [0.5, 0.75, 1.0])
     # (1 + 0.5 + 0 + 1) / 4 of [0, 0.2]
     assert metrics.area_under_curve(errors, 0.2) == pytest.approx(0.625)
@@ -98,9 +100,9 @@ def test_oracle_accuracy_by_hand():
 
 def test_too_few_draws_are_refused():
     with pytest.raises(ValueError, match="energy score"):
-        metrics.energy_score(np.zeros((1, 1, 2, 2)), np.zeros((1, 2, 2)))
+        calibration.energy_score(np.zeros((1, 1, 2, 2)), np.zeros((1, 2, 2)))
     with pytest.raises(ValueError, match="four"):
-        metrics.covered(np.zeros((3, 1, 2, 2)), np.zeros((1, 2, 2)))
+        calibration.covered(np.zeros((3, 1, 2, 2)), np.zeros((1, 2, 2)), metrics.LEVELS)
 
 
 def test_every_metric_has_a_unit_and_a_direction():

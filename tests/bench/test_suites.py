@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.cell import run_cell
-from bench.suites import Cell, SuiteError, load_suite, suite_names
+from bench.execute import execute
+from bench.suites import Run, SuiteError, load_suite, suite_names
 from data_gen import load_collection
 
 GOOD = """description = "a test"
@@ -32,38 +32,32 @@ def suite(tmp_path):
 
 
 def test_lists_are_swept_and_seeds_are_paired(suite):
-    cells = load_suite(suite(GOOD)).cells
-    assert len(cells) == 2 * 3 * 2 * 2
-    assert len({cell.key for cell in cells}) == len(cells)
+    runs = load_suite(suite(GOOD)).runs
+    assert len(runs) == 2 * 3 * 2 * 2
+    assert len({run.key for run in runs}) == len(runs)
     by_label = {
-        label: [(cell.problem, cell.seed) for cell in cells if cell.label == label] for label in ("spectral", "quick")
+        label: [(run.problem, run.seed) for run in runs if run.label == label] for label in ("spectral", "quick")
     }
     assert by_label["spectral"] == by_label["quick"]
-    assert cells[1].method == "rlfm"
-    assert cells[1].options == {"n_draws": 10}
-    assert cells[0].seconds == 5.0
+    assert runs[1].method == "rlfm"
+    assert runs[1].options == {"n_draws": 10}
+    assert runs[0].seconds == 5.0
 
 
-def test_methods_of_another_suite_and_whether_cells_may_run_together(suite):
-    text = GOOD.replace("seeds = 2", 'seeds = 2\ntogether = true\nmethods_of = "paper"').replace(
-        '"spectral"', '"MC (1)"'
-    )
-    cells = load_suite(suite(text)).cells
-    assert all(cell.together for cell in cells)
-    assert not load_suite(suite(GOOD)).cells[0].together
-    assert cells[0].method == "rlfm"
-    assert cells[0].options["constrained"] is False
+def test_methods_of_another_suite(suite):
+    text = GOOD.replace("seeds = 2", 'seeds = 2\nmethods_of = "paper"').replace('"spectral"', '"MC (1)"')
+    runs = load_suite(suite(text)).runs
+    assert runs[0].method == "rlfm"
+    assert runs[0].options["constrained"] is False
     with pytest.raises(SuiteError, match="did you mean paper"):
         load_suite(suite(text.replace('methods_of = "paper"', 'methods_of = "papers"')))
-    with pytest.raises(SuiteError, match="together = 1 has the wrong type"):
-        load_suite(suite(text.replace("together = true", "together = 1")))
 
 
 def test_seeds_and_only(suite):
     path = suite(GOOD)
-    assert len(load_suite(path, seeds=1).cells) == 12
-    assert len(load_suite(path, only=r"^quick .*n_nodes=4").cells) == 6
-    with pytest.raises(SuiteError, match="no cell"):
+    assert len(load_suite(path, seeds=1).runs) == 12
+    assert len(load_suite(path, only=r"^quick .*n_nodes=4").runs) == 6
+    with pytest.raises(SuiteError, match="no run"):
         load_suite(path, only="nothing")
     with pytest.raises(SuiteError, match="regular expression"):
         load_suite(path, only="(")
@@ -72,12 +66,12 @@ def test_seeds_and_only(suite):
 
 
 def test_the_address_depends_on_what_runs_and_not_on_its_name_or_limits(suite):
-    cells = load_suite(suite(GOOD)).cells
-    renamed = load_suite(suite(GOOD.replace("quick", "fast").replace("seconds = 5", "seconds = 9"))).cells
-    assert [cell.key for cell in renamed] == [cell.key for cell in cells]
-    changed = load_suite(suite(GOOD.replace("n_draws = 10", "n_draws = 11"))).cells
-    same = [a.key == b.key for a, b in zip(cells, changed)]
-    assert same == [cell.label == "spectral" for cell in cells]
+    runs = load_suite(suite(GOOD)).runs
+    renamed = load_suite(suite(GOOD.replace("quick", "fast").replace("seconds = 5", "seconds = 9"))).runs
+    assert [run.key for run in renamed] == [run.key for run in runs]
+    changed = load_suite(suite(GOOD.replace("n_draws = 10", "n_draws = 11"))).runs
+    same = [a.key == b.key for a, b in zip(runs, changed)]
+    assert same == [run.label == "spectral" for run in runs]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +104,7 @@ def test_unknown_suite_offers_near_ones():
 
 @pytest.mark.parametrize("name", suite_names())
 def test_suites_of_the_package_are_sound(name):
-    assert load_suite(name, seeds=1).cells
+    assert load_suite(name, seeds=1).runs
 
 
 @pytest.fixture
@@ -127,29 +121,29 @@ def collection(tmp_path, monkeypatch):
     return folder
 
 
-def test_changed_data_never_meet_an_old_cell(collection):
+def test_changed_data_never_meet_an_old_result(collection):
     problem = {"n_nodes": 2, "n": 4, "collection": "kittens", "sigma2": 0.1}
 
-    def cell():
-        return Cell("bench.problems:shapes", problem, 0, "mle", "mle")
+    def run():
+        return Run("bench.problems:shapes", problem, 0, "mle", "mle")
 
-    before, error = cell().key, run_cell(cell())["metrics"][3]
+    before, error = run().key, execute(run())["metrics"][3]
     file = collection / "cat1.off"
     file.write_bytes(file.read_bytes())  # newer, the same bytes
-    assert cell().key == before
+    assert run().key == before
     lines = file.read_text().splitlines()
     lines[2] = "0.5 0.5 0.5"  # one vertex somewhere else
     file.write_text("\n".join(lines))
-    assert cell().key != before
-    changed = run_cell(cell())["metrics"][3]
+    assert run().key != before
+    changed = execute(run())["metrics"][3]
     assert error[0] == changed[0] == "edge_error"
     assert error[2] != changed[2]  # nor does the process remember the old shapes
 
 
 def test_another_collection_takes_the_place_of_the_cats(collection):
-    cells = load_suite("meshes@kittens", seeds=1).cells
-    assert {cell.problem["collection"] for cell in cells} == {"kittens"}
-    assert len(cells) == len(load_suite("meshes", seeds=1).cells)
+    runs = load_suite("meshes@kittens", seeds=1).runs
+    assert {run.problem["collection"] for run in runs} == {"kittens"}
+    assert len(runs) == len(load_suite("meshes", seeds=1).runs)
     with pytest.raises(SuiteError, match="nothere.*FMSYNC_DATA"):
         load_suite("meshes@nothere")
     with pytest.raises(SuiteError, match="no grid names a collection"):

@@ -1,4 +1,4 @@
-"""Whether a table can be trusted: cells run again, by the rule that fits, and false rows that have to be found."""
+"""Whether a table can be trusted: runs repeated, by the rule that fits, and false rows that have to be found."""
 
 from functools import partial
 from operator import mul
@@ -10,53 +10,52 @@ import pytest
 from bench import methods, results
 from bench import verify as verifier
 from bench.__main__ import main
-from bench.cell import run_cell, run_together
+from bench.execute import execute
 from bench.metrics import METRICS
-from bench.suites import Cell
-from bench.verify import agrees
+from bench.suites import Run
 from fmsync import estimators
 
 PROBLEM = {"n_nodes": 5, "n": 4, "sigma2": 0.1}
 NOISY = {"n_nodes": 5, "n": 12, "sigma2": 0.4}
 CHAIN = {"n_chains": 1, "n_draws": 150, "warmup": 50}
-TOGETHER = "heat-bath: cells together"
+TOGETHER = "heat-bath: runs together"
 ANSWERS = ("edge_error", "edge_rms", "pair_error", "pair_rms", "cycle_error")
 
 
-def cell(method, seed, problem=PROBLEM, **options):
-    return Cell("bench.problems:rotations", problem, seed, method, method, options)
+def run(method, seed, problem=PROBLEM, **options):
+    return Run("bench.problems:rotations", problem, seed, method, method, options)
 
 
-def table(cells, **how):
-    return results.to_frame("s", [run(c, **how) for c in cells])
+def table(runs, **how):
+    return results.to_frame("s", [repeat(c, **how) for c in runs])
 
 
 @pytest.fixture(scope="module")
 def frame():
-    cells = [cell("mle", seed) for seed in range(3)]
-    cells += [cell("heat-bath", seed, n_chains=1, n_draws=100, warmup=20) for seed in range(3)]
-    return table(cells)
+    runs = [run("mle", seed) for seed in range(3)]
+    runs += [run("heat-bath", seed, n_chains=1, n_draws=100, warmup=20) for seed in range(3)]
+    return table(runs)
 
 
 @pytest.fixture(scope="module")
 def chains():
     """Rows of three chains that took another path than the runs here will: they drew other random numbers."""
-    return elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN) for seed in range(3)], replica=99))
+    return elsewhere(table([run("heat-bath", seed, NOISY, **CHAIN) for seed in range(3)], replica=99))
 
 
 _RUNS = {}
 
 
-def run(again, **how):
-    """Many tests run the same cells."""
+def repeat(again, **how):
+    """Many tests need the same runs."""
     key = again.key, *how.values()
     if key not in _RUNS:
-        _RUNS[key] = run_cell(again, **how)
+        _RUNS[key] = execute(again, **how)
     return _RUNS[key]
 
 
 def verify(*given, **how):
-    return verifier.verify(*given, **{"run": run, "n_replicas": 12} | how)
+    return verifier.verify(*given, **{"execute": repeat, "n_replicas": 12} | how)
 
 
 def elsewhere(frame):
@@ -71,34 +70,28 @@ def changed(frame, metrics, change, label=None):
 
 def swapped(frame, method, metrics):
     """The table with the values that another method has on the same problems."""
-    cells = [cell(method, int(seed), NOISY) for seed in frame.seed.unique()]
-    others = table(cells).dropna(subset="metric").set_index(["seed", "metric"]).value
+    runs = [run(method, int(seed), NOISY) for seed in frame.seed.unique()]
+    others = table(runs).dropna(subset="metric").set_index(["seed", "metric"]).value
     keys = pd.MultiIndex.from_frame(frame[["seed", "metric"]])
     values = others.groupby(level=[0, 1]).first().reindex(keys).to_numpy()
     return frame.assign(value=np.where(frame.metric.isin(metrics), values, frame.value))
 
 
 def of(found, metric):
-    return {one.cell.partition(" ")[0]: one.verdict for one in found if one.metric == metric}
+    return {one.run.partition(" ")[0]: one.verdict for one in found if one.metric == metric}
 
 
 def doubted(found):
-    return {one.cell for one in found if not agrees(one)}
+    return {one.run for one in found if not one.agrees}
 
 
 def test_the_same_arithmetic_gives_the_same_bits(frame):
-    found = list(verify(frame, 6, rng=0, run=run_cell))
-    assert len({one.cell for one in found}) == 6
+    found = list(verify(frame, 6, rng=0, execute=execute))
+    assert len({one.run for one in found}) == 6
     assert {(one.rule, one.verdict, one.reason) for one in found} == {("bits", "equal", "")}
     compared = {one.metric for one in found}
     assert {"edge_error", "cycle_error", "energy_score", "coverage_90", "accuracy_at_draws"} <= compared
     assert not compared & {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
-
-
-def test_cells_of_a_batch_are_run_again_alone_and_have_the_same_bits():
-    batch = [cell("rlfm", seed, n_chains=1, n_draws=60, warmup=20) for seed in range(3)]
-    found = list(verify(results.to_frame("s", run_together(batch)), 3, rng=0))
-    assert {(one.rule, one.verdict) for one in found} == {("bits", "equal")}
 
 
 def test_one_bit_is_found_where_bits_are_demanded_and_there_alone(frame):
@@ -134,7 +127,7 @@ def test_other_processors_have_the_tolerance_of_the_metric(frame, name, monkeypa
     within, without = (changed(mine, [name], partial(mul, factor)) for factor in (1 + 0.9e-6, 1 + 1.1e-6))
     assert of(verify(within, 3, rng=0), name) == {"mle": "agrees"}
     found = list(verify(without, 3, rng=0))
-    assert {one.metric for one in found if not agrees(one)} == {name}
+    assert {one.metric for one in found if not one.agrees} == {name}
     monkeypatch.setitem(METRICS, name, METRICS[name].__class__(name, "Frobenius", "lower", tolerance=2e-6))
     assert of(verify(without, 3, rng=0), name) == {"mle": "agrees"}
 
@@ -153,7 +146,7 @@ def test_a_zero_may_be_rounded(frame):
 @pytest.mark.parametrize("how", ["point", "missing"])
 def test_curves_are_compared_point_by_point(how):
     """The mean of a curve says less than its points; a curve of other points is another one."""
-    mine = elsewhere(table([cell("convergence", 0, init="random")]))
+    mine = elsewhere(table([run("convergence", 0, init="random")]))
     steps = mine.metric == "error_at_step"
     assert steps.sum() > 4
     assert {one.verdict for one in verify(mine, 1, rng=0)} == {"equal"}
@@ -162,41 +155,41 @@ def test_curves_are_compared_point_by_point(how):
     else:
         shift = np.where(steps, (mine["at"] == 2) * 1e-3 - (mine["at"] == 3) * 1e-3, 0.0)
         moved = mine.assign(value=mine.value + shift)
-    found = [one for one in verify(moved, 1, rng=0, n_replicas=3) if not agrees(one)]
+    found = [one for one in verify(moved, 1, rng=0, n_replicas=3) if not one.agrees]
     assert [(one.metric, one.verdict) for one in found] == [("error_at_step", "differs")]
 
 
 def test_a_chain_that_took_another_path_agrees(chains):
     found = list(verify(chains, 3, rng=0))
     assert doubted(found) == set()
-    compared = {one.metric: one.rule for one in found if one.cell != TOGETHER}
+    compared = {one.metric: one.rule for one in found if one.run != TOGETHER}
     assert compared["edge_error"] == compared["energy_score"] == compared["accuracy_at_draws"] == "Monte Carlo"
     assert compared["floor_rms"] == "tolerance"
-    together = [one for one in found if one.cell == TOGETHER]
+    together = [one for one in found if one.run == TOGETHER]
     assert {"edge_error", "coverage_90"} <= {one.metric for one in together}
     assert {one.rule for one in together} == {"Monte Carlo together"}
 
 
-def test_the_answers_of_another_method_are_found_in_every_cell(chains):
+def test_the_answers_of_another_method_are_found_in_every_run(chains):
     """The maximum of the likelihood in the place of the mean of the posterior: its cycles close."""
     found = list(verify(swapped(chains, "mle", ANSWERS), 3, rng=0))
     assert len(doubted(found) - {TOGETHER}) == 3
 
 
 @pytest.mark.parametrize("method", ["mle", "spectral"])
-def test_errors_of_another_method_are_found_among_all_cells(chains, method):
+def test_errors_of_another_method_are_found_among_all_runs(chains, method):
     """The errors alone, which differ from those of the chains by far less than between problems."""
     table = swapped(chains, method, ["edge_error"])
     found = [one for one in verify(table, 3, rng=0) if one.metric == "edge_error"]
-    assert found[-1].cell == TOGETHER
-    assert not agrees(found[-1])
+    assert found[-1].run == TOGETHER
+    assert not found[-1].agrees
     between_seeds = chains[chains.metric == "edge_error"].value.std()
     assert all(abs(one.before - one.now) < 0.02 * one.before + 3 * between_seeds for one in found)
 
 
-def test_another_sampler_is_found_in_every_cell(chains):
+def test_another_sampler_is_found_in_every_run(chains):
     """All metrics of a chain with another concentration, which the rows do not tell."""
-    other = elsewhere(table([cell("heat-bath", seed, NOISY, **CHAIN, kappa=30.0) for seed in range(3)]))
+    other = elsewhere(table([run("heat-bath", seed, NOISY, **CHAIN, kappa=30.0) for seed in range(3)]))
     other = other.assign(options=chains.options.iloc[0])
     assert len(doubted(verify(other, 3, rng=0)) - {TOGETHER}) == 3
 
@@ -214,7 +207,7 @@ def two_minima(monkeypatch):
 
 def test_another_minimum_is_told_from_a_false_value(two_minima):
     """Repetitions with other last digits find both; a value that lies far from both stays false."""
-    ends = [elsewhere(table([cell("two-minima", 0)], replica=k)) for k in range(10)]
+    ends = [elsewhere(table([run("two-minima", 0)], replica=k)) for k in range(10)]
     ends = list({round(one[one.metric == "edge_error"].value.item(), 6): one for one in ends}.values())
     assert len(ends) == 2
     rules = []
@@ -239,7 +232,7 @@ def test_a_share_of_few_edges_is_not_certain_after_equal_runs():
     metric = METRICS["coverage_90"]
     alike = verifier._deviation(np.ones(17), metric)
     assert alike == pytest.approx(np.sqrt((17 * (0.5 / 18) ** 2 + 0.5 * (17.5 / 18) ** 2 + 0.5 * (0.5 / 18) ** 2) / 17))
-    seen = verifier._Repeated.of(metric.name, 0.5, [1.0] * 17)
+    seen = verifier.Repeated(metric.name, 0.5, [1.0] * 17)
     assert 0.5 < seen.interval < 1.0
     assert verifier._deviation(np.array([1.0, 2.0, 3.0]), METRICS["edge_error"]) == 1.0
 
@@ -247,18 +240,18 @@ def test_a_share_of_few_edges_is_not_certain_after_equal_runs():
 def test_how_often_right_chains_are_doubted():
     """Normal metrics, 17 runs: intervals are left as rarely as four standard deviations."""
     draws = np.random.default_rng(0).standard_normal((4000, 18))
-    repeated = [verifier._Repeated.of("edge_error", one[0], one[1:]) for one in draws]
-    assert sum(one.difference > one.interval for one in repeated) <= 4  # 0.25 expected
-    groups = [verifier._together("a", "edge_error", repeated[k : k + 4]) for k in range(0, 4000, 4)]
-    assert sum(not agrees(one) for one in groups) <= 3  # 0.06 expected of a normal sum
+    repeated = [verifier.Repeated("edge_error", one[0], one[1:]) for one in draws]
+    assert sum(one.excess > 0 for one in repeated) <= 4  # 0.25 expected
+    groups = [verifier.together("a", "edge_error", repeated[k : k + 4]) for k in range(0, 4000, 4)]
+    assert sum(not one.agrees for one in groups) <= 3  # 0.06 expected of a normal sum
 
 
 def test_a_metric_that_a_seed_does_not_have_is_left_out(frame):
     without = frame[~((frame.metric == "cycle_error") & (frame.seed == 1) & (frame.label == "mle"))]
     found = list(verify(without, 6, rng=0))
     assert {one.verdict for one in found} == {"equal"}
-    told = {one.cell for one in found if one.metric == "cycle_error"}
-    assert len({one.cell for one in found}) - len(told) == 1
+    told = {one.run for one in found if one.metric == "cycle_error"}
+    assert len({one.run for one in found}) - len(told) == 1
 
 
 def test_a_metric_that_is_missing_here_differs(frame):
@@ -271,19 +264,19 @@ def test_a_metric_that_is_missing_here_differs(frame):
         assert set(of(found, "point_error").values()) == {"differs"}
 
 
-def test_a_cell_that_fails_now_is_told(frame):
+def test_a_run_that_fails_now_is_told(frame):
     def failing(again):
-        return {**run_cell(again), "status": "timeout"}
+        return {**execute(again), "status": "timeout"}
 
-    (found,) = verify(frame, 1, rng=0, run=failing)
+    (found,) = verify(frame, 1, rng=0, execute=failing)
     assert found.verdict == "timeout"
-    assert not agrees(found)
+    assert not found.agrees
 
 
-def test_cells_without_their_data_are_left_out(frame, monkeypatch):
+def test_runs_without_their_data_are_left_out(frame, monkeypatch):
     monkeypatch.delenv("FMSYNC_DATA", raising=False)
     absent = frame.assign(problem='{"collection": "not-here"}', label="mle on shapes")
-    assert {one.cell.split()[0] for one in verify(pd.concat([frame, absent]), 9, rng=0)} == {
+    assert {one.run.split()[0] for one in verify(pd.concat([frame, absent]), 9, rng=0)} == {
         "mle",
         "heat-bath",
     }
@@ -298,12 +291,12 @@ def test_bad_counts(frame):
 
 def test_command(frame, tmp_path, capsys):
     results.write(frame, tmp_path / "mine.parquet")
-    assert main(["verify", "--cells", "3", "--results", str(tmp_path)]) == 0
+    assert main(["verify", "--runs", "3", "--results", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert "all agree; compared: " in told
     assert "by bits" in told
     results.write(changed(elsewhere(frame), ["edge_error"], lambda v: v + 1, "mle"), tmp_path / "mine.parquet")
-    arguments = ["verify", "mine", "--cells", "6", "--replicas", "4", "--results", str(tmp_path)]
+    arguments = ["verify", "mine", "--runs", "6", "--replicas", "4", "--results", str(tmp_path)]
     assert main(arguments) == 1
     told = capsys.readouterr().out
     assert "differs (rounding): edge_error" in told

@@ -62,3 +62,11 @@ def die(problem, *, rng, once: str | None = None):
             Path(once).touch()
         os._exit(9)
     return right(problem)
+
+
+@method("trick-print")
+def talk(problem, *, rng):
+    """Print, from Python and below it."""
+    print("a word")
+    os.system("echo another word")
+    return right(problem)

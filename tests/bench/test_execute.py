@@ -1,4 +1,4 @@
-"""One cell: limits, honest status, and metrics that agree with their own functions."""
+"""One run: limits, status, and metrics that agree with their own functions."""
 
 import time
 from dataclasses import replace
@@ -10,31 +10,27 @@ import pytest
 import threadpoolctl
 
 import data_gen
-from bench import cell as cells
+from bench import execute as executing
 from bench import methods
+from bench.execute import end_workers, execute, isolated
 from bench.measure import measure
 from bench.metrics import frobenius_errors
 from bench.planted import Planted
-from bench.suites import Cell
+from bench.suites import Run
 from fmsync import diagnostics
 from fmsync.shape import Basis
+from tests.bench.helpers import TIMING, TRICKS, untimed, values
 
-TRICKS = str(Path(__file__).with_name("tricks.py"))
-methods.load(TRICKS)
 SMALL = {"n_nodes": 5, "n": 4, "sigma2": 0.05}
 
 
-def cell(method, options=None, seed=0, problem=SMALL, **limits):
+def run(method, options=None, seed=0, problem=SMALL, **limits):
     generator = "bench.problems:rotations"
-    return Cell(generator, problem, seed, method, method, options or {}, file=TRICKS, **limits)
+    return Run(generator, problem, seed, method, method, options or {}, file=TRICKS, **limits)
 
 
-def values(record):
-    return {name: value for name, at, value in record["metrics"] if at is None}
-
-
-def test_a_sound_cell():
-    record = cells.run_cell(cell("mle"), "abc")
+def test_a_sound_run():
+    record = execute(run("mle"), "abc")
     assert record["status"] == "ok"
     assert record["commit"] == "abc"
     found = values(record)
@@ -45,61 +41,64 @@ def test_a_sound_cell():
     assert 0 < found["cpu_seconds"] < 10
 
 
-def test_the_same_cell_gives_the_same_numbers():
-    timing = {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
+def test_the_same_run_gives_the_same_numbers():
     options = {"n_draws": 50, "warmup": 20, "n_chains": 2}
-    first, second = (values(cells.run_cell(cell("rlfm", options))) for _ in range(2))
-    assert {k: v for k, v in first.items() if k not in timing} == {k: v for k, v in second.items() if k not in timing}
-    assert {"energy_score", "coverage_90", "oracle_accuracy", "calibration_error", "ess_per_second"} <= set(first)
-
-
-def test_cells_of_one_batch_give_the_numbers_of_each_alone():
-    options = {"n_draws": 60, "warmup": 20, "n_chains": 1}
-    batch = [cell("rlfm", options, seed) for seed in range(3)]
-    timing = {"seconds", "cpu_seconds", "peak_memory", "ess_per_second"}
-    for one, record in zip(batch, cells.run_together(batch, "abc")):
-        together, alone = values(record), values(cells.run_cell(one, "abc"))
-        assert together.pop("at_once") == 3
-        assert {k: v for k, v in together.items() if k not in timing} == {
-            k: v for k, v in alone.items() if k not in timing
-        }
-        assert timing <= set(together)
-        assert record["seed"] == one.seed
-
-
-def test_a_batch_that_fails_is_run_cell_by_cell():
-    options = {"n_draws": 60, "warmup": 100, "n_chains": 1, "constrained": False, "step": 3.0}
-    batch = [cell("rlfm", options, seed) for seed in range(2)]
-    for record in cells.run_together(batch):
-        assert record["status"] == "error"
-        assert "diverged" in record["traceback"]
-        assert record["metrics"] == []
-    quick = [cell("rlfm", {**options, "step": 0.01, "n_draws": 10**6}, seed, seconds=0.2) for seed in range(2)]
-    assert [record["status"] for record in cells.run_together(quick)] == ["timeout"] * 2
+    first, second = (execute(run("rlfm", options)) for _ in range(2))
+    assert untimed(first) == untimed(second)
+    assert {"energy_score", "coverage_90", "oracle_accuracy", "calibration_error", *TIMING} <= set(values(first))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_methods_do_not_draw_the_numbers_of_the_truth(seed):
     """A random answer is as far from the truth as strangers are; from the truth's own stream it would be near."""
-    found = values(cells.run_cell(cell("random", seed=seed, problem={"n_nodes": 8, "n": 12, "sigma2": 0.1})))
+    found = values(execute(run("random", seed=seed, problem={"n_nodes": 8, "n": 12, "sigma2": 0.1})))
     assert found["pair_rms"] == pytest.approx(np.sqrt(24), rel=0.1)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_worker_is_left():
+    yield
+    end_workers()
+
+
+def test_a_worker_gives_the_same_numbers():
+    assert untimed(execute(run("mle"))) == untimed(isolated(run("mle")))
+
+
 def test_a_slow_method_is_stopped_and_said_to_be_slow():
+    """Even one that swallows all exceptions."""
     began = time.perf_counter()
-    record = cells.run_cell(cell("trick-sleep", seconds=0.3))
+    record = isolated(run("trick-sleep", seconds=0.3))
     assert record["status"] == "timeout"
     assert "0.3 s" in record["traceback"]
-    assert time.perf_counter() - began < 10
-    assert cells.run_cell(cell("mle", seconds=30.0))["status"] == "ok"  # nothing is left behind
+    assert record["metrics"] == []
+    assert time.perf_counter() - began < 40
+    assert isolated(run("mle", seconds=30.0))["status"] == "ok"
+
+
+def test_the_limit_is_of_the_method_alone():
+    """The toy on which the method is tried first takes none of its time, and no alarm is left behind."""
+    records = [isolated(run("trick-count", {"log": "/dev/null", "seconds": 0.5}, seed, seconds=0.9)) for seed in (0, 1)]
+    assert [record["status"] for record in records] == ["ok", "ok"]
+
+
+def test_a_crash_is_recorded():
+    record = isolated(run("trick-die"))
+    assert record["status"] == "crashed"
+    assert "exit code 9" in record["traceback"]
+    assert isolated(run("mle"))["status"] == "ok"
+
+
+def test_what_a_method_prints_does_not_come_between_the_records():
+    assert isolated(run("trick-print"))["status"] == "ok"
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the memory limit needs /proc")
 def test_a_greedy_method_is_stopped_and_said_to_be_greedy():
-    record = cells.run_cell(cell("trick-hog", memory=500.0))
+    record = isolated(run("trick-hog", memory=500.0))
     assert record["status"] == "memory"
     assert "500 MB" in record["traceback"]
-    assert cells.run_cell(cell("mle"))["status"] == "ok"
+    assert isolated(run("mle"))["status"] == "ok"
 
 
 def test_peak_memory_is_the_method_s_own():
@@ -110,12 +109,12 @@ def test_peak_memory_is_the_method_s_own():
         return methods.Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
 
     try:
-        assert 60 < values(cells.run_cell(cell("trick-memory")))["peak_memory"] < 80
+        assert 60 < values(execute(run("trick-memory")))["peak_memory"] < 80
     finally:
         methods._REGISTRY.pop("trick-memory")
 
 
-def test_a_cell_has_one_thread():
+def test_a_run_has_one_thread():
     @methods.method("trick-threads")
     def threads(problem, *, rng):
         blas = max(pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas")
@@ -124,7 +123,7 @@ def test_a_cell_has_one_thread():
 
     seen, before = [], numba.config.NUMBA_NUM_THREADS
     try:
-        assert cells.run_cell(cell("trick-threads"))["status"] == "ok"
+        assert execute(run("trick-threads"))["status"] == "ok"
         assert set(seen) == {(1, 1)}
         assert before == numba.config.NUMBA_NUM_THREADS
     finally:
@@ -134,7 +133,7 @@ def test_a_cell_has_one_thread():
 def test_seconds_and_cpu_seconds_are_those_of_the_method_alone(tmp_path):
     """A loop of .3 seconds on one core; neither the making of the problem nor the measuring counts."""
     options = {"log": str(tmp_path / "log"), "seconds": 0.3}
-    found = values(cells.run_cell(cell("trick-count", options)))
+    found = values(execute(run("trick-count", options)))
     assert found["seconds"] >= 0.3
     assert 0 < found["cpu_seconds"] <= found["seconds"] + 0.05  # the clock of the processor may tick in 10 ms
 
@@ -157,7 +156,7 @@ def test_ess_per_second_by_hand(monkeypatch):
 
 
 def test_a_failure_keeps_its_traceback():
-    record = cells.run_cell(cell("trick-raise"))
+    record = execute(run("trick-raise"))
     assert record["status"] == "error"
     assert "RuntimeError: the trick failed" in record["traceback"]
     assert "in fail" in record["traceback"]
@@ -202,9 +201,9 @@ def test_large_problems_show_a_fixed_sample_of_pairs():
 
 def test_replicas_show_how_much_an_answer_varies():
     """Another chain on the same problem; another rounding of the observations for a method that is no chain."""
-    chain = cell("heat-bath", {"n_chains": 1, "n_draws": 30, "warmup": 5})
-    for one, low, high in ((chain, 1e-4, 1.0), (cell("mle"), 1e-16, 1e-11)):
-        first, again, same, other = (values(cells.run_cell(one, replica=k)) for k in (0, 1, 1, 2))
+    chain = run("heat-bath", {"n_chains": 1, "n_draws": 30, "warmup": 5})
+    for one, low, high in ((chain, 1e-4, 1.0), (run("mle"), 1e-16, 1e-11)):
+        first, again, same, other = (values(execute(one, replica=k)) for k in (0, 1, 1, 2))
         assert again["edge_error"] == same["edge_error"]
         assert again["floor_rms"] == first["floor_rms"]
         for a, b in ((first, again), (first, other), (again, other)):
@@ -214,7 +213,7 @@ def test_replicas_show_how_much_an_answer_varies():
 def test_a_replica_rounds_the_bases_of_shapes_too(planted):
     made = planted(n_nodes=3, n=2)
     bases = (Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5]),) * 3
-    replica, _ = cells._replicated(replace(made, bases=bases), 0, "estimator", 1)
+    replica, _ = executing._replicated(replace(made, bases=bases), 0, "estimator", 1)
     assert 0 < np.abs(replica.problem.maps - made.problem.maps).max() < 1e-12
     for before, after in zip(bases, replica.bases):
         assert 0 < np.abs(after.eigenfunctions - before.eigenfunctions).max() < 1e-12

@@ -1,0 +1,233 @@
+"""Execute a run, within its limits in a process of its own, and record how it went."""
+
+import contextlib
+import importlib
+import os
+import pickle
+import re
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from bench import methods
+from bench.measure import measure, method_rng
+from bench.planted import Planted
+from bench.provenance import machine, versions
+from bench.suites import Run, generator_function
+from data_gen.cache import arithmetic
+from fmsync.problem import SyncProblem
+from fmsync.threads import single_threaded_blas
+
+_ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
+_SERVE = [sys.executable, "-c", "from bench.execute import serve; serve()"]
+_WORKERS: dict[int, subprocess.Popen] = {}  # by thread
+
+
+def isolated(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
+    """The record of :func:`execute` by a worker process, of which each thread has one that lives until a run ends it.
+
+    A run ends its worker at its time limit, which gives a record of status "timeout", or when it crashes ("crashed").
+    """
+    began = time.perf_counter()
+    worker = _WORKERS.get(threading.get_ident())
+    if worker is None or worker.poll() is not None:
+        path = os.pathsep.join(filter(None, sys.path))
+        environment = {**os.environ, "PYTHONPATH": path, "TQDM_DISABLE": "1"}
+        worker = subprocess.Popen(_SERVE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        _WORKERS[threading.get_ident()] = worker
+    try:
+        pickle.dump((run, commit, replica), worker.stdin)
+        worker.stdin.flush()
+        return pickle.load(worker.stdout)
+    except (EOFError, OSError, pickle.UnpicklingError):
+        wall = time.perf_counter() - began
+        if worker.wait() == -signal.SIGALRM:
+            return record_of(run, commit, status="timeout", traceback=f"more than {run.seconds:g} s", wall=wall)
+        reason = f"the process of the run died with exit code {worker.returncode}"
+        return record_of(run, commit, status="crashed", traceback=reason, wall=wall)
+
+
+def end_workers() -> None:
+    """End the workers of this process at once."""
+    for worker in _WORKERS.values():
+        worker.kill()
+        worker.wait()
+    _WORKERS.clear()
+
+
+def serve() -> None:
+    """What a worker does: execute what comes in, until nothing can come any more because its parent has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # end the process, whatever it computes
+    records = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what methods print must not come between the records
+    with contextlib.suppress(EOFError):
+        while True:
+            run, commit, replica = pickle.load(sys.stdin.buffer)
+            pickle.dump(execute(run, commit, replica, limits=process_limits(run)), records)
+            records.flush()
+
+
+def execute(
+    run: Run,
+    commit: str = "unknown",
+    replica: int = 0,
+    *,
+    limits: contextlib.AbstractContextManager[object] | None = None,
+) -> dict:
+    """Make the problem, run the method, measure the answer.
+
+    Parameters
+    ----------
+    run
+        The method and the problem.
+    commit
+        Is written into the record.
+    replica
+        0 for the run that belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how
+        much the answer varies: a sampler draws other random numbers; any other method keeps its random numbers and
+        gets observed maps, and bases of shapes, whose entries are moved by about 1e-13, as if they had been computed
+        in another arithmetic.
+    limits
+        In force while the method runs; none by default, since they are those of a process.
+
+    Returns
+    -------
+    dict
+        Plain JSON values: ``status`` "ok", "memory" or "error" (with ``traceback``), ``metrics`` as rows
+        (name, at, value), among them seconds, CPU seconds and the growth of memory in MB; machine, versions,
+        arithmetic, commit.
+    """
+    outcome: dict = {"status": "ok"}
+    began = time.perf_counter()
+    try:
+        importlib.import_module(run.module) if run.file is None else methods.load(run.file)
+        method = methods.get(run.method)
+        with warnings.catch_warnings(record=True) as caught, _one_thread():
+            warnings.simplefilter("always")
+            planted = _problem(run.generator, tuple(run.problem.items()), run.seed, run.content["data"])
+            planted, rng = _replicated(planted, run.seed, method.kind, replica)
+            _warm(method, run.options)
+            before = _reset_peak()
+            began, cpu = time.perf_counter(), time.process_time()
+            with limits or contextlib.nullcontext():
+                answer = method.run(planted, rng, run.options)
+            spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
+            if replica and method.kind == "sampler":
+                answer = replace(answer, numbers=dict)  # effective draws a second: slow, and not compared
+            rows = [[name, None, value] for name, value in zip(("seconds", "cpu_seconds", "peak_memory"), spent)]
+            outcome["metrics"] = rows + measure(planted, answer)
+        outcome["warnings"] = sorted({str(warning.message) for warning in caught})
+    except MemoryError:
+        outcome = {"status": "memory", "traceback": f"more than {run.memory:g} MB\n{traceback.format_exc()}"}
+    except Exception:
+        outcome = {"status": "error", "traceback": traceback.format_exc()}
+    return record_of(run, commit, wall=time.perf_counter() - began, **outcome)
+
+
+def record_of(run: Run, commit: str, **outcome: object) -> dict:
+    """A record: what the run is, where it was made, and its outcome."""
+    return {
+        **run.content,
+        "code": run.code,  # as this process has it
+        "label": run.label,
+        "commit": commit,
+        "machine": machine(),
+        "versions": versions(),
+        "arithmetic": arithmetic(),
+        "metrics": [],
+        **outcome,
+    }
+
+
+@contextlib.contextmanager
+def process_limits(run: Run) -> Iterator[None]:
+    """End this process after the seconds of a run; let no allocation take more than its MB."""
+    before = soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    with contextlib.suppress(OSError):  # systems without /proc do not say how large a process is
+        size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        most = [int(size + run.memory * 2**20), *(one for one in before if one != resource.RLIM_INFINITY)]
+        soft = min(most)
+    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+    signal.setitimer(signal.ITIMER_REAL, run.seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@lru_cache(maxsize=2)
+def _problem(generator: str, problem: tuple, seed: int, data: str) -> Planted:
+    """Kept, since all methods meet it; ``data``, which the generator reads by itself, tells changed files apart."""
+    return generator_function(generator)(seed=seed, **dict(problem))
+
+
+def _replicated(planted: Planted, seed: int, kind: str, replica: int) -> tuple[Planted, np.random.Generator]:
+    """Problem and generator of a replica; the generator of replica 0 is not drawn from."""
+    if replica == 0:
+        return planted, method_rng(seed)
+    other = method_rng(seed).spawn(replica)[-1]
+    if kind == "sampler":
+        return planted, other
+
+    def moved(values: np.ndarray) -> np.ndarray:
+        return values + _ROUNDING * other.standard_normal(values.shape)
+
+    maps = moved(planted.problem.maps)
+    bases = tuple(replace(basis, eigenfunctions=moved(basis.eigenfunctions)) for basis in planted.bases)
+    return replace(planted, problem=replace(planted.problem, maps=maps), bases=bases), method_rng(seed)
+
+
+_WARMED: set[str] = set()
+
+
+def _warm(method: methods.Method, options) -> None:
+    """Compile and import what the method needs on a toy, so that its first run does not pay for it."""
+    name = f"{method.name} {options}"
+    if name in _WARMED:
+        return
+    _WARMED.add(name)
+    eye = np.broadcast_to(np.eye(4), (3, 4, 4))
+    toy = Planted(SyncProblem(3, [[0, 1], [1, 2], [0, 2]], eye), eye)
+    quick = {"n_draws": 20, "warmup": 10, "thin": 1} if method.kind == "sampler" else {}
+    with contextlib.suppress(Exception):  # what is wrong will show on the real problem
+        method.run(toy, np.random.default_rng(0), {**options, **quick})
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread for BLAS, and one for samplers that share their work out: other runs want the other cores."""
+    many, numba.config.NUMBA_NUM_THREADS = numba.config.NUMBA_NUM_THREADS, 1
+    try:
+        with single_threaded_blas():
+            yield
+    finally:
+        numba.config.NUMBA_NUM_THREADS = many
+
+
+def _reset_peak() -> float:
+    """Forget the peak of this process so far, and give its present size in MB."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    return _peak()
+
+
+def _peak() -> float:
+    with contextlib.suppress(OSError):
+        if match := re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text()):
+            return int(match[1]) / 1024
+    unit = 2**20 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

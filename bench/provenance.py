@@ -1,0 +1,41 @@
+"""Where a result was made: machine, versions and commit."""
+
+import contextlib
+import os
+import platform
+import re
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
+
+
+@cache
+def machine() -> str:
+    """Processor, cores and system."""
+    cpus = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*:\s*(.+)", cpus.read_text()) if cpus.exists() else []
+    return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, {platform.system()}"
+
+
+@cache
+def versions() -> str:
+    """Python and the libraries that results depend on."""
+    found = [f"python {platform.python_version()}"]
+    for name in _VERSIONS:
+        with contextlib.suppress(PackageNotFoundError):
+            found.append(f"{name} {version(name)}")
+    return ", ".join(found)
+
+
+def current_commit() -> str:
+    """Commit of the checkout that holds this package, with "+" behind it when files differ; else "unknown"."""
+    git = ["git", "-C", str(Path(__file__).parents[1])]
+    try:
+        found = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
+        changed = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip() + ("+" if changed.stdout.strip() else "")
