@@ -27,23 +27,11 @@ def effective_resistance(
 ) -> np.ndarray:
     r"""Resistance :math:`R_{ij} = (e_i - e_j)^\top L^+ (e_i - e_j)` between pairs of nodes, edges as conductors.
 
-    Parameters
-    ----------
-    n_nodes, edges
-        Connected graph; repeated edges are parallel conductors.
-    pairs
-        (K, 2) pairs to measure between; the edges by default.
-    weights
-        (E,) conductances, ones by default.
-
-    Returns
-    -------
-    ndarray
-        (K,); 2/N for every pair of a complete graph.
+    Returns (K,) for ``pairs`` (K, 2), the edges by default, of a connected graph whose repeated edges are parallel
+    conductors; ``weights`` (E,) are conductances, ones by default. It is 2/N for every pair of a complete graph.
 
     Examples
     --------
-    >>> from fmsync.bounds import effective_resistance
     >>> effective_resistance(3, [[0, 1], [1, 2], [0, 2]]).round(4)
     array([0.6667, 0.6667, 0.6667])
     """
@@ -71,21 +59,8 @@ def relative_error_bound(
     For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. It
     holds below the recovery threshold only: past it estimators shrink, are biased and cross the line.
 
-    Parameters
-    ----------
-    n_nodes, edges
-        Connected graph, one observation per edge.
-    n
-        Size of the maps.
-    sigma2
-        Noise variance per entry.
-    pairs
-        (K, 2) pairs; the edges by default.
-
-    Returns
-    -------
-    ndarray
-        (K,) lower bounds of the mean *squared* Frobenius error.
+    Returns (K,) lower bounds of the mean *squared* Frobenius error for ``pairs`` (K, 2), the edges by default, of a
+    connected graph with one observation of a map (n, n) per edge.
 
     Examples
     --------
@@ -105,21 +80,10 @@ def langevin_error_bound(
     :math:`\kappa\beta_n(\kappa)` is the Fisher information of one observation per dimension of SO(n), d = n(n-1)/2;
     :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`.
 
-    Parameters
-    ----------
-    n_nodes, edges, n, pairs
-        As in :func:`fmsync.relative_error_bound`.
-    kappa
-        Concentration of the observations, in (0, 1e5].
-
-    Returns
-    -------
-    ndarray
-        (K,) lower bounds of the mean *squared* Frobenius error.
+    ``kappa`` is the concentration of the observations, in (0, 1e5]; all else as in :func:`relative_error_bound`.
 
     Examples
     --------
-    >>> from fmsync.bounds import langevin_error_bound
     >>> langevin_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, kappa=100.0).round(4)
     array([0.0201, 0.0201, 0.0201])
     """
@@ -135,10 +99,7 @@ def expected_rms_error(
     :math:`w_F = \left(\tfrac{n-1}{2}E\operatorname{tr}Z\right)^2 / E\lVert\mathrm{skew}\,Z\rVert_F^2` for
     Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error.
 
-    Returns
-    -------
-    ndarray
-        (K,) as in :func:`fmsync.relative_error_bound`, but not squared.
+    Parameters and result (K,) are those of :func:`relative_error_bound`, but not squared.
 
     Examples
     --------
@@ -163,7 +124,6 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
 
     Examples
     --------
-    >>> from fmsync.bounds import projected_noise_moments
     >>> round(projected_noise_moments(20, 0.2)[0] / 20, 2)
     0.41
     """
@@ -178,10 +138,7 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{kN + 1}`, k observations per pair: there the
     leading eigenvectors of the connection matrix drown in its bulk (a heuristic from random matrices).
 
-    Returns
-    -------
-    float
-        σ²; infinity when even σ² = 100 stays above it.
+    Infinity when even σ² = 100 stays above it.
 
     Examples
     --------

@@ -57,8 +57,6 @@ class Summary:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync.diagnostics import Summary
     >>> one = np.ones(1)
     >>> table = Summary(("energy",), 12.5 * one, 0.25 * one, 1.001 * one, 812.4 * one, 640.2 * one)
     >>> table
@@ -135,10 +133,8 @@ def rhat(values: np.ndarray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import diagnostics
     >>> noise = np.random.default_rng(0).standard_normal((4, 500))
-    >>> diagnostics.rhat(noise) < 1.01 < diagnostics.rhat(noise + np.arange(4)[:, None])
+    >>> rhat(noise) < 1.01 < rhat(noise + np.arange(4)[:, None])
     True
     """
     values = _checked(values)
@@ -150,10 +146,8 @@ def ess(values: np.ndarray, kind: str = "bulk") -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import diagnostics
     >>> walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 500)), axis=1)
-    >>> diagnostics.ess(walk) < 50
+    >>> ess(walk) < 50
     True
     """
     checks.one_of("kind", kind, ("bulk", "tail"))

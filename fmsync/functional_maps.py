@@ -11,7 +11,7 @@ from fmsync.shape import Basis
 
 
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
-    r"""Functional map :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j` of a point map from shape i to shape j.
+    r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
     Parameters
     ----------
@@ -19,11 +19,6 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
         Bases of n_i functions on V_i vertices, and of n_j on V_j.
     point_map
         (V_i,) the vertex of j that each vertex of i goes to: P f = f[point_map].
-
-    Returns
-    -------
-    ndarray
-        (n_i, n_j) matrix.
 
     Examples
     --------
@@ -46,7 +41,7 @@ def functional_map_from_descriptors(
     orthogonal: bool = False,
     commutativity: float = 1e-3,
 ) -> np.ndarray:
-    r"""Functional map that takes the descriptors of shape j to those of shape i.
+    r"""Functional map (n_i, n_j) that takes the descriptors of shape j to those of shape i.
 
     Minimises, with descriptor coefficients A on i and B on j,
 
@@ -65,7 +60,7 @@ def functional_map_from_descriptors(
     Parameters
     ----------
     basis_i, basis_j
-        Bases of n_i functions on V_i vertices, and of n_j on V_j.
+        As in :func:`functional_map`.
     descriptors_i, descriptors_j
         Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
     orthogonal
@@ -73,11 +68,6 @@ def functional_map_from_descriptors(
         near a reflection: fix the signs of the eigenfunctions first (:meth:`Basis.with_flipped`).
     commutativity
         Weight w >= 0 of the second term.
-
-    Returns
-    -------
-    ndarray
-        (n_i, n_j) matrix.
 
     Examples
     --------

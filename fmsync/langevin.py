@@ -29,22 +29,11 @@ _SERIES_NODES = 64  # c_2 = I_0(2κ) has the nearest complex zero, at 1.2 i: 64 
 def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
     r"""Logarithm of :math:`c_n(\kappa) = E_{\mathrm{Haar}} \exp(\kappa \operatorname{tr} R)` on SO(n).
 
-    Parameters
-    ----------
-    n
-        Size of the rotations, >= 2.
-    kappa
-        Concentrations in [0, 1e5], any shape.
-
-    Returns
-    -------
-    ndarray
-        As ``kappa``; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
+    For n >= 2 and concentrations in [0, 1e5] of any shape; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
 
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> float(langevin.log_normaliser(20, 10.0).round(11))
+    >>> float(log_normaliser(20, 10.0).round(11))
     50.22636766261
     """
     kappa, flat = _checked(n, kappa)
@@ -64,8 +53,7 @@ def mean_cosine(n: int, kappa: float | np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> langevin.mean_cosine(20, [5.0, 50.0]).round(4)
+    >>> mean_cosine(20, [5.0, 50.0]).round(4)
     array([0.25  , 0.9047])
     """
     kappa, flat = _checked(n, kappa)
@@ -80,8 +68,7 @@ def matched_kappa(n: int, cosine: float) -> float:
 
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> round(langevin.matched_kappa(20, 0.25), 3)
+    >>> round(matched_kappa(20, 0.25), 3)
     5.0
     """
     if cosine <= 0:

@@ -34,10 +34,8 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import oracle, so
     >>> truth = so.random_uniform(4, 3, rng=0)
-    >>> oracle.oracle_accuracy(truth[None], truth).round(6)
+    >>> oracle_accuracy(truth[None], truth).round(6)
     array([1.])
     """
     draws, truth = np.asarray(draws, dtype=float), np.asarray(truth, dtype=float)
@@ -59,19 +57,11 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
 def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Generator = 0) -> np.ndarray:
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 
-    Parameters
-    ----------
-    first
-        (N, n, n) absolute maps, e.g. of the maximum of the likelihood.
-    n_samples
-        Number of samples >= 1, the first included.
-    rng
-        Seed or generator.
+    ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
 
     Examples
     --------
-    >>> from fmsync import oracle, so
-    >>> oracle.haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
+    >>> haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
     (10, 3, 4, 4)
     """
     checks.count("n_samples", n_samples)

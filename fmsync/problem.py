@@ -232,15 +232,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     A direction that no edge observes is read as the transpose of the other one, which only rotations justify; of
     repeated edges the last counts.
 
-    Parameters
-    ----------
-    n_nodes, edges, maps
-        As in :class:`SyncProblem`.
-
-    Returns
-    -------
-    ndarray
-        (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
+    Returns (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
 
     Examples
     --------
@@ -261,17 +253,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
 def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     """Write a problem; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    problem
-        What to write, its provenance included.
-    path
-        File name; ``.npz`` is appended if it is missing.
-
-    Returns
-    -------
-    Path
-        The file written.
+    Returns the path, with ``.npz`` appended if it was missing; the provenance is written, too.
 
     Examples
     --------

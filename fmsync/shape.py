@@ -146,11 +146,6 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     n_basis
         Number n of eigenfunctions, 1 <= n < V.
 
-    Returns
-    -------
-    Basis
-        ``eigenvalues`` (n,), ``eigenfunctions`` (V, n), ``mass`` (V,). The first eigenfunction is constant.
-
     Raises
     ------
     ImportError

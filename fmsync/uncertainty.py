@@ -8,7 +8,7 @@ from fmsync.shape import Basis
 
 
 def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
-    r"""Images on shape j of one vertex of shape i under every draw of C_ij.
+    r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
 
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
 
@@ -20,11 +20,6 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
         Bases of the two shapes.
     vertex
         Vertex of shape i.
-
-    Returns
-    -------
-    ndarray
-        (K,) vertices of shape j.
 
     Examples
     --------
@@ -46,8 +41,7 @@ def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
 
     Examples
     --------
-    >>> from fmsync import uncertainty
-    >>> uncertainty.image_density([2, 0, 2], 4)
+    >>> image_density([2, 0, 2], 4)
     array([1, 0, 2, 0])
     """
     return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

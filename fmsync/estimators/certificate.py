@@ -43,17 +43,8 @@ def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificat
     :math:`U_E(C) - U_E^\star \le n N \max(0, -\lambda_{\min}(Q))`: orthogonal maps X with the same block sizes have
     :math:`U_E(C) - U_E(X) = -\operatorname{tr}(X^\top Q X)` (Bandeira, Boumal & Singer 2017; Rosen et al. 2019).
 
-    Parameters
-    ----------
-    problem
-        N nodes with maps (n, n).
-    estimate
-        An estimate on the group, or orthogonal maps (N, n, n).
-
-    Returns
-    -------
-    Certificate
-        ``certified`` when :math:`\lambda_{\min} \ge -10^{-8}` times the largest degree.
+    For an estimate on the group, or orthogonal maps (N, n, n); ``certified`` when :math:`\lambda_{\min} \ge -10^{-8}`
+    times the largest degree.
 
     Examples
     --------

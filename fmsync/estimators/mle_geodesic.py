@@ -36,21 +36,8 @@ def mle_geodesic(
     that no minimum lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which
     would have negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
 
-    Parameters
-    ----------
-    problem
-        Observed rotations; maps off SO(n) are projected to it first.
-    rng, init
-        As in ``"mle"``.
-    tolerance
-        Norm of the Riemannian gradient of U_R at which to stop.
-    max_iterations
-        Quasi-Newton steps, at most.
-
-    Returns
-    -------
-    Estimate
-        ``cost`` is the geodesic energy U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
+    Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the Riemannian gradient of
+    U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
 
     Examples
     --------

@@ -28,17 +28,11 @@ def mle_unconstrained(
 
     Parameters
     ----------
-    problem
-        Observed maps.
-    rng
-        Draws the start of the iteration.
     solver
         ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
         random start, to watch a convergence.
-    tolerance
-        For ``"iterative"``: norm of the gradient at which to stop.
-    max_iterations
-        For ``"iterative"``: steps of conjugate gradients, at most.
+    tolerance, max_iterations
+        For ``"iterative"``: norm of the gradient at which to stop, and steps at most.
 
     Returns
     -------
@@ -67,14 +61,8 @@ def mle_unconstrained(
 def precision(problem: SyncProblem) -> tuple[sp.csc_matrix, np.ndarray]:
     r"""The quadratic form of the gauged energy: :math:`\sum_r x_r^\top K x_r - 2\sum_r b_r^\top x_r + const`.
 
-    x_r stacks row r of C_2..C_N.
-
-    Returns
-    -------
-    K
-        Sparse ((N-1) n, (N-1) n), positive definite on a connected graph with invertible maps.
-    b
-        ((N-1) n, n), one column for each row r.
+    x_r stacks row r of C_2..C_N. Returns K, sparse ((N-1) n, (N-1) n), positive definite on a connected graph with
+    invertible maps, and b ((N-1) n, n), one column for each row r.
     """
     n_nodes, n = problem.n_nodes, problem.n
     weighted = problem.weights[:, None, None] * problem.maps

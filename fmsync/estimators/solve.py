@@ -27,10 +27,8 @@ def solve(
 
     Parameters
     ----------
-    problem
-        What was observed.
-    method
-        A name of :func:`methods`.
+    problem, method
+        What was observed, and a name of :func:`methods`.
     rng
         Seed or generator: same seed, same answer.
     callback
@@ -42,12 +40,8 @@ def solve(
     options
         Passed to the estimator; an unknown option is refused with the list of known ones.
 
-    Warns
-    -----
-    RuntimeWarning
-        The method stopped before its tolerance was met; ``converged`` is then False.
-    UserWarning
-        Maps far from orthogonal met a method that answers with rotations; names the worst edge.
+    Warns with a RuntimeWarning when the method stopped before its tolerance was met; ``converged`` is then False. Warns
+    with a UserWarning that names the worst edge when maps far from orthogonal met a method that answers with rotations.
 
     Examples
     --------

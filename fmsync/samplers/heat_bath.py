@@ -105,7 +105,7 @@ class HeatBath(Sampler):
 
         def sweep(chains: slice, nodes: np.ndarray) -> None:
             blocks = self._blocks if len(self._blocks) == 1 else self._blocks[chains]
-            plane_rotations.sweep_chains(
+            plane_rotations.sweep(
                 self._x[chains], blocks, self._start_of, self._other, self._field, self.kappa[chains], self._over,
                 self._planes, nodes, self._streams[chains], self._gains[chains],
             )  # fmt: skip

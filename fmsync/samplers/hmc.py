@@ -23,7 +23,9 @@ class HMC(Sampler):
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
     step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon p_i)`,
-    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact.
+    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. A trajectory
+    takes 50 to 150 % of a quarter of the mean period, from the curvature that the warm-up sees:
+    :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`.
 
     Parameters
     ----------
@@ -35,9 +37,6 @@ class HMC(Sampler):
     step
         ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
         2014), towards 80 % acceptance, and then frozen.
-    length
-        Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
-        :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`. Every trajectory takes 50 to 150 % of it.
     """  # noqa: E501
 
     _target = 0.8
@@ -53,13 +52,11 @@ class HMC(Sampler):
         *,
         integrator: str = "cayley",
         step: float | None = None,
-        length: float | None = None,
     ):
         checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
-        for name, size in (("step", step), ("length", length)):
-            if size is not None:
-                checks.positive(name, size)
+        if step is not None:
+            checks.positive("step", step)
         problem, self._euclidean = target.problem, target.energy == "euclidean"
         if not (self._euclidean or isinstance(target.kappa, float)):
             raise ValueError(
@@ -74,7 +71,7 @@ class HMC(Sampler):
         first = 0.5 / np.sqrt(self.kappa * problem.degrees.max() + problem.n) if step is None else step
         self._adapting, self._averaging = step is None, DualAveraging(np.full(len(start), first), self._target)
         self._step = self._averaging.step
-        self._length, self._squares, self._weight = length, np.zeros(len(start)), 0.0
+        self._squares, self._weight = np.zeros(len(start)), 0.0
         self._c, self._age = np.ascontiguousarray(start), 0
         self._accepted, self._tried = 0.0, 0
         self.refresh()
@@ -170,14 +167,11 @@ class HMC(Sampler):
         langevin_kernels.rotate(moved, np.ascontiguousarray(omega).reshape(moved.shape))
         return moved.reshape(c.shape)
 
-    def _n_steps(self, share: float) -> int:
-        if self._length is not None:
-            length = np.full(len(self._step), self._length)
-        else:
-            mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
-            n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
-            length = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
-        return int(np.clip(np.ceil(share * np.median(length / self._step)), 1, _MOST_STEPS))
+    def _n_steps(self, fraction: float) -> int:
+        mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
+        n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
+        length = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
+        return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
 
     def _adapt(self, chance: np.ndarray) -> None:
         if self._adapting:
@@ -200,18 +194,7 @@ class MALA(HMC):
 
     _target = 0.574
 
-    def __init__(
-        self,
-        target: Target,
-        start: np.ndarray,
-        rng: np.random.Generator,
-        *,
-        integrator: str = "cayley",
-        step: float | None = None,
-    ):
-        super().__init__(target, start, rng, integrator=integrator, step=step)
-
-    def _n_steps(self, share: float) -> int:
+    def _n_steps(self, fraction: float) -> int:
         return 1
 
 

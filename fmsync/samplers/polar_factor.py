@@ -58,7 +58,7 @@ class PolarFactors:
 
         def some(first: int, last: int) -> None:
             own = slice(first, last)
-            polar_factor_chains(
+            polar_factor_step(
                 x[own], self._vectors[own], self._values[own], self.sigma2[own], self.blocks[own], states[own],
                 p.edges, p.maps, planes, parity, infer, start, edge, forward,
             )  # fmt: skip
@@ -67,7 +67,7 @@ class PolarFactors:
 
 
 @numba.njit(cache=True, nogil=True)
-def polar_factor_chains(
+def polar_factor_step(
     x: np.ndarray,
     vectors: np.ndarray,
     values: np.ndarray,
@@ -83,71 +83,49 @@ def polar_factor_chains(
     edge: np.ndarray,
     forward: np.ndarray,
 ) -> None:
-    """:func:`polar_factor_step` for every chain, σ² and blocks written."""
-    unprojected, ones = np.empty(maps.shape), np.ones(len(maps))
-    for k in range(len(x)):
-        sigma2[k] = polar_factor_step(
-            x[k], edges, maps, vectors[k], values[k], sigma2[k], infer, planes, parity, unprojected, states[k]
-        )
-        node_blocks(unprojected, ones, start, edge, forward, blocks[k])
+    """All edges of every chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
-
-@numba.njit(cache=True, nogil=True)
-def polar_factor_step(
-    x: np.ndarray,
-    edges: np.ndarray,
-    maps: np.ndarray,
-    vectors: np.ndarray,
-    values: np.ndarray,
-    sigma2: float,
-    infer: bool,
-    planes: np.ndarray,
-    parity: int,
-    unprojected: np.ndarray,
-    state: np.ndarray,
-) -> float:
-    """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
-
-    C P goes to ``unprojected`` (E, n, n).
-
-    Returns σ².
+    With ``infer`` a new σ² of every chain; C P goes to the ``blocks`` of the map sweeps.
     """
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
     rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
-    angles, pool, at = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL), POOL
-    quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
-    for e in range(n_edges):
-        np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
-        np.dot(maps[e].T, relative, product)
-        for a in range(n):
-            for b in range(n):
-                centre[a, b] = (product[a, b] + product[b, a]) / 2
-        np.dot(vectors[e], centre, product)
-        for a in range(n):
-            diagonal[a] = 0.0
-            for b in range(n):
-                rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
-                diagonal[a] += vectors[e, a, b] * product[a, b]
-        at = rotate_eigenvectors(rows, diagonal, values[e], sigma2, planes, angles, state, pool, at)
-        draw_eigenvalues(values[e], diagonal, sigma2, parity, state)
-        for a in range(n):
-            quadratic += values[e, a] * values[e, a]
-            linear += values[e, a] * diagonal[a]
-            for b in range(n):
-                vectors[e, a, b] = rows[a, b]
-    scale = 1.0
-    if infer:
-        sigma2, scale = draw_sigma2(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
-        values *= scale
-    for e in range(n_edges):
-        for a in range(n):
-            for b in range(n):
-                scaled[a, b] = values[e, a] * vectors[e, a, b]
-        np.dot(vectors[e].T, scaled, product)
-        np.dot(maps[e], product, unprojected[e])
-    return sigma2
+    unprojected, ones = np.empty(maps.shape), np.ones(n_edges)
+    angles, pool = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL)
+    for k in range(len(x)):
+        quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
+        at = POOL  # a chain has numbers of its own
+        for e in range(n_edges):
+            np.dot(x[k, edges[e, 0]], x[k, edges[e, 1]].T, relative)
+            np.dot(maps[e].T, relative, product)
+            for a in range(n):
+                for b in range(n):
+                    centre[a, b] = (product[a, b] + product[b, a]) / 2
+            np.dot(vectors[k, e], centre, product)
+            for a in range(n):
+                diagonal[a] = 0.0
+                for b in range(n):
+                    rows[a, b], rows[a, n + b] = vectors[k, e, a, b], product[a, b]
+                    diagonal[a] += vectors[k, e, a, b] * product[a, b]
+            at = rotate_eigenvectors(rows, diagonal, values[k, e], sigma2[k], planes, angles, states[k], pool, at)
+            draw_eigenvalues(values[k, e], diagonal, sigma2[k], parity, states[k])
+            for a in range(n):
+                quadratic += values[k, e, a] * values[k, e, a]
+                linear += values[k, e, a] * diagonal[a]
+                for b in range(n):
+                    vectors[k, e, a, b] = rows[a, b]
+        scale = 1.0
+        if infer:
+            sigma2[k], scale = draw_sigma2(quadratic, linear, n_edges * n, n_edges * n * n, sigma2[k], states[k])
+            values[k] *= scale
+        for e in range(n_edges):
+            for a in range(n):
+                for b in range(n):
+                    scaled[a, b] = values[k, e, a] * vectors[k, e, a, b]
+            np.dot(vectors[k, e].T, scaled, product)
+            np.dot(maps[e], product, unprojected[e])
+        node_blocks(unprojected, ones, start, edge, forward, blocks[k])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})

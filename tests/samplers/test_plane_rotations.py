@@ -66,7 +66,10 @@ def test_sweep_against_its_slow_twin(n, with_prior):
     given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, n, n))
     states, (order, _) = random_streams.generators(np.random.default_rng(5), 6), plane_rotations.colours(start, other)
     twin, x, twin_states, gains = c.copy(), np.ascontiguousarray(so.transpose(c)), states.copy(), np.empty(6)
-    plane_rotations.sweep(x, blocks, start, other, given, 5.0, 2, plane_rotations.rounds(p.n), order, states, gains)
+    plane_rotations.sweep(
+        x[None], blocks[None], start, other, given, np.array([5.0]), 2, plane_rotations.rounds(n), order,
+        states[None], gains[None],
+    )  # fmt: skip
     slow_sweep(twin, p, 5.0, field, 2, order, twin_states)
     np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
     change = (fmsync.energy.energy(p, c) - fmsync.energy.energy(p, twin)) / 2

@@ -18,8 +18,9 @@ def generator(seed=0):
 def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     """n = 2: the density (p11 + p22) exp(-||P - A||²/2σ²) where p11 + p22 > 0, on a grid of three numbers."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    x = np.stack([np.eye(2), turn.T])
+    x = np.stack([np.eye(2), turn.T])[None]
     observed = so.exp(np.array([[[0.0, -0.2], [0.2, 0.0]]]))
+    start, edge, _, forward = fmsync.SyncProblem(2, [[0, 1]], observed).incidence
     centre = so.sym(observed[0].T @ turn)
 
     t = np.linspace(-6, 6, 161) * np.sqrt(sigma2)
@@ -28,27 +29,18 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     weight = np.maximum(a + b, 0) * np.exp(-distance / (2 * sigma2))
     weight /= weight.sum()
 
-    count, repeats, state = 500, 40, generator()
-    values = np.empty((repeats, count, 4))
-    vectors, eigenvalues, unprojected = np.eye(2)[None].copy(), np.array([[1.2, 0.7]]), np.empty((1, 2, 2))
+    count, repeats = 500, 40
+    values, blocks, states = np.empty((repeats, count, 4)), np.empty((1, 8)), generator()[None]
+    vectors, eigenvalues = np.eye(2)[None, None].copy(), np.array([[[1.2, 0.7]]])
     for r in range(repeats):
         for t in range(count):
             polar_factor.polar_factor_step(
-                x,
-                np.array([[0, 1]]),
-                observed,
-                vectors,
-                eigenvalues,
-                sigma2,
-                False,
-                plane_rotations.rounds(2),
-                t % 2,
-                unprojected,
-                state,
-            )
-            p = observed[0].T @ unprojected[0]
+                x, vectors, eigenvalues, np.array([sigma2]), blocks, states, np.array([[0, 1]]), observed,
+                plane_rotations.rounds(2), t % 2, False, start, edge, forward,
+            )  # fmt: skip
+            p = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
             values[r, t] = p[0, 0], p[1, 1], p[0, 1], p[0, 0] * p[1, 1]
-            assert abs(p[0, 1] - p[1, 0]) < 1e-10
+            np.testing.assert_allclose(blocks[0, :4].reshape(2, 2), observed[0] @ p, atol=1e-12)  # as node 0 reads it
     for k, grid in enumerate((a, b, c, a * b)):
         mean, error = mean_and_error(values[..., k])
         assert abs(mean - (weight * grid).sum()) < 4.5 * error
