@@ -18,7 +18,7 @@ from fmsync import checks
 from fmsync.files import replacing
 from fmsync.so import transpose
 
-_DENSE_FROM = 0.5  # share of filled blocks from which one dense product beats a loop over edges: a little later for
+_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges: a little later for
 # one set of maps, a little sooner for a batch
 _FIELDS = ("n_nodes", "edges", "maps", "weights", "provenance")  # of a problem file
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations

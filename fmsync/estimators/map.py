@@ -28,7 +28,7 @@ def maximum_a_posteriori(
     kappa
         Concentration of the observations, against which the prior's is weighed; 2 is the paper's β = 1.
     prior
-        :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not turned to C_1 = I.
+        :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not brought to C_1 = I.
     problem, tolerance, max_iterations
         As in ``"mle"``.
 

@@ -14,7 +14,7 @@ from fmsync.so import transpose
 Pairs = list[tuple[np.ndarray, np.ndarray]]  # steps, and the changes of the gradient along them
 
 _MEMORY = 10  # pairs of the quasi-Newton model
-_SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+_SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 
 
 @estimator("mle-geodesic")
@@ -36,7 +36,7 @@ def mle_geodesic(
     that no minimum lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which
     would have negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
 
-    Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the Riemannian gradient of
+    Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
     U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
 
     Examples
@@ -116,14 +116,14 @@ def _laplacian_inverse(problem: SyncProblem) -> Callable[[np.ndarray], np.ndarra
 
 def _two_loop(gradient: np.ndarray, pairs: Pairs, metric: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """The inverse quasi-Newton matrix times the gradient (Nocedal & Wright, algorithm 7.4)."""
-    q, shares = gradient.copy(), []
+    q, alphas = gradient.copy(), []
     for step, change in reversed(pairs):
-        share = np.vdot(step, q) / np.vdot(step, change)
-        q -= share * change
-        shares.append(share)
+        alpha = np.vdot(step, q) / np.vdot(step, change)
+        q -= alpha * change
+        alphas.append(alpha)
     result = metric(q)
-    for (step, change), share in zip(pairs, reversed(shares)):
-        result += (share - np.vdot(change, result) / np.vdot(step, change)) * step
+    for (step, change), alpha in zip(pairs, reversed(alphas)):
+        result += (alpha - np.vdot(change, result) / np.vdot(step, change)) * step
     return result
 
 

@@ -47,13 +47,13 @@ def _grown(problem: SyncProblem, known: np.ndarray, group: str) -> np.ndarray:
     """(N, n, n): known maps first; the others, outwards along the edges, nearest to the sum over known neighbours."""
     absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
     absolute[: len(known)] = known
-    settled = np.arange(problem.n_nodes) < len(known)
+    placed = np.arange(problem.n_nodes) < len(known)
     tail, head = problem.edges.T
-    while not settled.all():
-        reached = np.zeros_like(settled)
-        reached[head[settled[tail]]] = True
-        reached[tail[settled[head]]] = True
-        reached &= ~settled
+    while not placed.all():
+        reached = np.zeros_like(placed)
+        reached[head[placed[tail]]] = True
+        reached[tail[placed[head]]] = True
+        reached &= ~placed
         absolute[reached] = nearest(neighbour_sums(problem, absolute)[reached], group)
-        settled |= reached
+        placed |= reached
     return absolute

@@ -79,7 +79,7 @@ class HMC(Sampler):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, and what was adapted: mean step over the chains, steps a trajectory, share accepted since."""
+        """Choices, and what was adapted: mean step over the chains, steps a trajectory, acceptance since."""
         return self._choices | {
             "kappa_inferred": self._concentration.inferred,
             "step": float(self._step.mean()),

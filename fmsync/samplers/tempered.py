@@ -32,7 +32,7 @@ class Tempered(Sampler):
     n_temperatures
         Replicas R >= 2 of a chain. Take more when ``settings["swap_acceptance"]`` falls below 0.2.
     hottest
-        Concentration of the hottest replica as a share of κ, in (0, 1); by default 1e-3, nearly uniform maps.
+        Concentration of the hottest replica as a fraction of κ, in (0, 1); by default 1e-3, nearly uniform maps.
     """
 
     def __init__(
