@@ -95,15 +95,15 @@ def sample(
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
     kind, _ = SAMPLERS.find(method, options)
-    for name, count in (("n_chains", n_chains), ("n_draws", n_draws), ("thin", thin)):
-        checks.count(name, count)
-    checks.count("warmup", warmup, least=0)
+    counts = {"n_chains": n_chains, "n_draws": n_draws, "thin": thin}
+    n_chains, n_draws, thin = (checks.count(name, count) for name, count in counts.items())
+    warmup = checks.count("warmup", warmup, least=0)
     target = Target(problem, prior, kappa, beta, likelihood, energy)
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
         absolute, energies, kappas = run_chains(chains, n_draws, warmup, thin, callback)
-    settings = {"warmup": int(warmup), "thin": int(thin), **chains.settings}
+    settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
     warn_unless_converged(post)
     return post

@@ -46,7 +46,7 @@ class Tempered(Sampler):
         hottest: float = 1e-3,
     ):
         checks.one_of("base", base, _BASES)
-        checks.count("n_temperatures", n_temperatures, least=2)
+        n_temperatures = checks.count("n_temperatures", n_temperatures, least=2)
         target.only("tempered", likelihood="langevin")
         coldest, self._rng, self._n_chains = target.fixed_kappa(), rng, len(start)
         fractions = np.linspace(0, 1, n_temperatures)
