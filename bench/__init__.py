@@ -1,1 +1,1 @@
-"""Suites of problems and methods, run cell by cell: ``python -m bench run SUITE``."""
+"""Suites of problems and methods, run by run: ``python -m bench run SUITE``."""

@@ -20,14 +20,7 @@ NEEDED = (  # by some command or suite: what is missing is reported before a run
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; bad input, or an extra that is missing, ends with one line and status 2.
-
-    Examples
-    --------
-    >>> from bench.__main__ import main
-    >>> main(["compare", "missing.parquet", "missing.parquet"])
-    2
-    """
+    """Run a command; bad input, an extra that is missing or a full disk ends with one line and status 2."""
     parsed = _parser().parse_args(arguments)
     try:
         require_all("bench", "bench", *NEEDED)
@@ -35,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, MissingExtra) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("stopped; the finished runs are kept, run again to go on", file=sys.stderr)
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -89,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     from bench.cache import ResultCache
-    from bench.runner import RunError, run_suite
+    from bench.runner import run_suite
     from bench.suites import load_suite
 
     if (arguments.backend == "dask") != (arguments.scheduler is not None):
@@ -112,24 +108,15 @@ def _run(arguments: argparse.Namespace) -> int:
         elif record["status"] != "ok":
             bar.write(line)
 
-    told = {"on_start": on_start, "on_record": on_record}
-    try:
-        with bar:
-            cache = ResultCache(arguments.cache)
-            outcome = run_suite(suite.runs, cache, n_jobs=arguments.jobs, scheduler=arguments.scheduler, **told)
-    except KeyboardInterrupt:
-        print("stopped; the finished runs are kept, run again to go on", file=sys.stderr)
-        return 130
-    except RunError as error:
-        print(f"bench: {error}", file=sys.stderr)
-        return 3
+    with bar:
+        where = {"n_jobs": arguments.jobs, "scheduler": arguments.scheduler}
+        told = {"on_start": on_start, "on_record": on_record}
+        outcome = run_suite(suite.runs, ResultCache(arguments.cache), **where, **told)
     for message in outcome.corrupt:
         print(message)
     failed = [record for record in outcome.records if record["status"] != "ok"]
-    print(
-        f"{len(outcome.records) - len(failed)} finished ({outcome.n_cached} of them before), {len(failed)} failed, "
-        f"{time.perf_counter() - began:.1f} s"
-    )
+    finished, seconds = len(outcome.records) - len(failed), time.perf_counter() - began
+    print(f"{finished} finished ({outcome.n_cached} of them before), {len(failed)} failed, {seconds:.1f} s")
     for record in failed[:10]:
         last = record["traceback"].strip().rpartition("\n")[2]
         print(f"  {record['status']}: {record['label']} {record['problem']} seed {record['seed']}: {last}")
@@ -146,8 +133,7 @@ def _collect(arguments: argparse.Namespace) -> int:
     found = [(run, cache.read(run.key) or cache.read(run.key, "failed")) for run in suite.runs]
     records = [{**record, "label": run.label} for run, record in found if record is not None]
     if not records:
-        told = f"run 'python -m bench run {suite.name}'"
-        raise ValueError(f"{arguments.cache}: no run of {suite.name} is finished; {told}")
+        raise ValueError(f"{arguments.cache}: no run of {suite.name} is there; run 'python -m bench run {suite.name}'")
     print(f"{len(records)} of {len(suite.runs)} runs")
     _write(suite, records, arguments.results)
     return 0
@@ -167,9 +153,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
     frame = results.read(arguments.results / f"{arguments.suite}.parquet")
     print(report(frame))
-    if arguments.figures is not None:
-        for path in draw_figures(frame, arguments.figures):
-            print(f"wrote {path}")
+    for path in draw_figures(frame, arguments.figures) if arguments.figures else ():
+        print(f"wrote {path}")
     return 0
 
 
@@ -177,12 +162,9 @@ def _compare(arguments: argparse.Namespace) -> int:
     from bench import results
 
     found = results.compare(results.read(arguments.before), results.read(arguments.after), arguments.tolerance)
-    if found.empty:
-        print("no difference beyond chance and tolerance")
-        return 0
-    print(found.to_string(index=False, float_format="{:.4g}".format))
-    regressions = ~found.verdict.isin(["better"]) & ~found.verdict.str.endswith("-> ok")
-    return 1 if regressions.any() else 0
+    shown = found.to_string(index=False, float_format="{:.4g}".format)
+    print("no difference beyond chance and tolerance" if found.empty else shown)
+    return 0 if found.verdict.map(lambda verdict: verdict == "better" or verdict.endswith("-> ok")).all() else 1
 
 
 def _verify(arguments: argparse.Namespace) -> int:

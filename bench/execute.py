@@ -9,7 +9,6 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 import traceback
 import warnings
@@ -32,39 +31,43 @@ from fmsync.threads import single_threaded_blas
 
 _ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
 _SERVE = [sys.executable, "-c", "from bench.execute import serve; serve()"]
-_WORKERS: dict[int, subprocess.Popen] = {}  # by thread
+_WORKERS: set[subprocess.Popen] = set()  # all of this process ...
+_IDLE: list[subprocess.Popen] = []  # ... and those without a run
 
 
 def isolated(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
-    """The record of :func:`execute` by a worker process, of which each thread has one that lives until a run ends it.
+    """The record of :func:`execute` in a worker process, which lives until a run ends it or this process ends.
 
     A run ends its worker at its time limit, which gives a record of status "timeout", or when it crashes ("crashed").
     """
     began = time.perf_counter()
-    worker = _WORKERS.get(threading.get_ident())
-    if worker is None or worker.poll() is not None:
+    try:
+        worker = _IDLE.pop()
+    except IndexError:
         path = os.pathsep.join(filter(None, sys.path))
         environment = {**os.environ, "PYTHONPATH": path, "TQDM_DISABLE": "1"}
         worker = subprocess.Popen(_SERVE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-        _WORKERS[threading.get_ident()] = worker
+        _WORKERS.add(worker)
     try:
         pickle.dump((run, commit, replica), worker.stdin)
         worker.stdin.flush()
-        return pickle.load(worker.stdout)
+        record = pickle.load(worker.stdout)
     except (EOFError, OSError, pickle.UnpicklingError):
-        wall = time.perf_counter() - began
-        if worker.wait() == -signal.SIGALRM:
-            return record_of(run, commit, status="timeout", traceback=f"more than {run.seconds:g} s", wall=wall)
-        reason = f"the process of the run died with exit code {worker.returncode}"
-        return record_of(run, commit, status="crashed", traceback=reason, wall=wall)
+        _WORKERS.discard(worker)
+        late = worker.wait() == -signal.SIGALRM
+        reason = f"more than {run.seconds:g} s" if late else f"its process died with exit code {worker.returncode}"
+        status = "timeout" if late else "crashed"
+        return record_of(run, commit, status=status, traceback=reason, wall=time.perf_counter() - began)
+    _IDLE.append(worker)
+    return record
 
 
 def end_workers() -> None:
-    """End the workers of this process at once."""
-    for worker in _WORKERS.values():
+    """End the workers of this process at once, whatever they do."""
+    for worker in list(_WORKERS):
         worker.kill()
         worker.wait()
-    _WORKERS.clear()
+    _WORKERS.clear(), _IDLE.clear()
 
 
 def serve() -> None:

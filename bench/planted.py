@@ -22,7 +22,7 @@ class Planted:
     truth
         (N, n, n) rotations.
     references
-        Numbers to draw beside the measured ones, by metric name: error floor, expected line.
+        Numbers to draw beside the measured ones, by metric name: lower bound and expected value of the error.
     bases
         The N bases of the shapes, where point maps are to be scored; else ().
     scored

@@ -96,7 +96,7 @@ def shapes(
 
 
 def data_files(problem: Mapping[str, object]) -> list[Path]:
-    """Files that a problem is read from, part of what its cells are: none for what is made by this package alone.
+    """Files that a problem is read from, part of what its runs are: none for what is made by this package alone.
 
     Raises
     ------

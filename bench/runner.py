@@ -12,7 +12,7 @@ from bench.suites import Run
 from fmsync.extras import require
 
 
-class RunError(RuntimeError):
+class RunError(ValueError):
     """The suite had to stop; the message says why, what is kept and what to do."""
 
 
@@ -100,10 +100,11 @@ def _executed(runs: Sequence[Run], n_jobs: int, scheduler: str | None) -> Iterat
         try:
             for future in as_completed(futures):
                 yield futures[future], _record(future, futures[future], commit)
-        finally:
+        except BaseException:
             for future in futures:
                 future.cancel()
             end_workers()
+            raise
 
 
 def _record(future, run: Run, commit: str) -> dict:

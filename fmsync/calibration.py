@@ -121,7 +121,7 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
     if len(draws) < 4:
         raise ValueError(f"draws: credible balls need at least four, got {len(draws)}")
     centre = draws[::2].mean(axis=0)
-    radii = np.quantile(np.linalg.norm(draws[1::2] - centre, axis=(-2, -1)), np.asarray(levels), axis=0)  # (L, K)
+    radii = np.quantile(np.linalg.norm(draws[1::2] - centre, axis=(-2, -1)), np.asarray(levels), axis=0)
     return np.linalg.norm(truth - centre, axis=(-2, -1)) <= radii
 
 

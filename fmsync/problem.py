@@ -101,14 +101,14 @@ class SyncProblem:
         return np.bincount(self.edges.ravel(), np.repeat(self.weights, 2), minlength=self.n_nodes)
 
     @cached_property
-    def distortion(self) -> np.ndarray:
+    def orthogonality_error(self) -> np.ndarray:
         r"""(E,) how far every map is from orthogonal, :math:`\lVert C_{ij}^\top C_{ij} - I\rVert_F / \sqrt n`."""
-        distortion = np.empty(self.n_edges)
+        error = np.empty(self.n_edges)
         for first in range(0, self.n_edges, _EDGES_AT_ONCE):
             maps = self.maps[first : first + _EDGES_AT_ONCE]
             rest = transpose(maps) @ maps - np.eye(self.n)
-            distortion[first : first + _EDGES_AT_ONCE] = np.sqrt(np.einsum("eab,eab->e", rest, rest) / self.n)
-        return distortion
+            error[first : first + _EDGES_AT_ONCE] = np.sqrt(np.einsum("eab,eab->e", rest, rest) / self.n)
+        return error
 
     @cached_property
     def is_dense(self) -> bool:

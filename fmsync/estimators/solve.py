@@ -11,7 +11,9 @@ from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
-_FAR = 0.5  # distortion of a map above which its user is warned; a map with a quarter of its rank missing has it
+_FAR = (
+    0.5  # orthogonality error of a map above which its user is warned; a map with a quarter of its rank missing has it
+)
 
 
 def solve(
@@ -62,11 +64,11 @@ def solve(
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
-    worst = int(np.argmax(problem.distortion))
-    if estimate.on_group and problem.distortion[worst] > _FAR:
-        edge = tuple(problem.edges[worst].tolist())
+    worst = int(np.argmax(problem.orthogonality_error))
+    error = problem.orthogonality_error[worst]
+    if estimate.on_group and error > _FAR:
         message = (
-            f"maps: edge {worst} {edge} is far from orthogonal (‖CᵀC - I‖/√n = {problem.distortion[worst]:.2g}); "
+            f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
             "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
         )
         warnings.warn(message, UserWarning, stacklevel=2)

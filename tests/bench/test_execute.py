@@ -12,7 +12,7 @@ import threadpoolctl
 import data_gen
 from bench import execute as executing
 from bench import methods
-from bench.execute import end_workers, execute, isolated
+from bench.execute import execute, isolated
 from bench.measure import measure
 from bench.metrics import frobenius_errors
 from bench.planted import Planted
@@ -53,12 +53,6 @@ def test_methods_do_not_draw_the_numbers_of_the_truth(seed):
     """A random answer is as far from the truth as strangers are; from the truth's own stream it would be near."""
     found = values(execute(run("random", seed=seed, problem={"n_nodes": 8, "n": 12, "sigma2": 0.1})))
     assert found["pair_rms"] == pytest.approx(np.sqrt(24), rel=0.1)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def no_worker_is_left():
-    yield
-    end_workers()
 
 
 def test_a_worker_gives_the_same_numbers():
