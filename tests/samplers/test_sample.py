@@ -113,7 +113,9 @@ def test_ctrl_c_before_the_first_draw_goes_through(problem):
         ({"init": np.stack([np.eye(3)] * 3)}, r"init: expected \(4, 3, 3\)"),
         ({"init": np.stack([np.stack([np.eye(3)] * 4)] * 3), "n_chains": 2}, "3 starts for 2 chains"),
         ({"method": "rlmf"}, "did you mean rlfm"),
-        ({"stepp": 1.0}, "stepp: 'rlfm' has no such option; it takes energy"),
+        ({"stepp": 1.0}, "stepp: 'rlfm' has no such option; it takes retraction"),
+        ({"likelihood": "projected-gaussian"}, "likelihood: 'rlfm' takes 'langevin' alone"),
+        ({"energy": "free"}, "energy: 'euclidean' or 'geodesic', not 'free'"),
     ],
 )
 def test_bad_input_is_named(problem, options, message):
