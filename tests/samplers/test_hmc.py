@@ -155,7 +155,7 @@ def test_dual_averaging_finds_the_step():
 
 def test_nothing_is_adapted_after_the_warmup():
     p = noisy()
-    engine = HMC(p, so.random_uniform(4, (2, 5), rng=0), np.random.default_rng(0), kappa=5.0)
+    engine = HMC(Target(p, kappa=5.0), so.random_uniform(4, (2, 5), rng=0), np.random.default_rng(0))
     for _ in range(30):
         engine.step(warmup=True)
     engine.step(warmup=False)
@@ -174,7 +174,7 @@ def test_nothing_is_adapted_after_the_warmup():
         ({"step": 0.0}, "step: must be finite and > 0"),
         ({"energy": "geodesic"}, "cannot be inferred"),
         ({"energy": "geodesic", "kappa": "auto"}, "cannot be inferred"),
-        ({"likelihood": "projected-gaussian"}, "no such option"),
+        ({"likelihood": "projected-gaussian"}, "likelihood: 'hmc' takes 'langevin' alone"),
     ],
 )
 def test_bad_options_are_named(options, message):

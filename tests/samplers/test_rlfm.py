@@ -222,7 +222,7 @@ def test_a_diverging_chain_stops_and_names_a_step_that_works(options):
     assert not post.interrupted
 
 
-def test_the_version_on_geomstats_operations_follows_the_same_law():
+def test_the_version_on_geomstats_operations_follows_the_same_distribution():
     """Same drift without noise (β large): same path; this also checks the drift against an edge-by-edge gradient."""
     p = noisy()
     start = so.random_uniform(p.n, p.n_nodes, rng=0)
