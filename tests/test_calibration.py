@@ -58,7 +58,7 @@ def check(n_problems, *setting, **options):
 
 EXACT = {
     "heat-bath": ("heat-bath", {"warmup": 10, "thin": 2}),
-    "hmc": ("hmc", {"warmup": 15, "thin": 2, "step": 0.15}),
+    "hmc": ("hmc", {"warmup": 15, "thin": 2, "step": 0.15, "length": 0.3}),
     "mala": ("mala", {"warmup": 20, "thin": 5, "step": 0.2}),
     "tempered": ("tempered", {"warmup": 10, "thin": 2, "n_temperatures": 3, "hottest": 0.3}),
 }

@@ -23,9 +23,7 @@ class HMC(Sampler):
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
     step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon p_i)`,
-    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. A trajectory
-    takes 50 to 150 % of a quarter of the mean period, from the curvature that the warm-up sees:
-    :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`.
+    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact.
 
     Parameters
     ----------
@@ -37,6 +35,9 @@ class HMC(Sampler):
     step
         ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
         2014), towards 80 % acceptance, and then frozen.
+    length
+        Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
+        :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`. Every trajectory takes 50 to 150 % of it.
     """  # noqa: E501
 
     _target = 0.8
@@ -52,11 +53,13 @@ class HMC(Sampler):
         *,
         integrator: str = "cayley",
         step: float | None = None,
+        length: float | None = None,
     ):
         checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
-        if step is not None:
-            checks.positive("step", step)
+        for name, size in (("step", step), ("length", length)):
+            if size is not None:
+                checks.positive(name, size)
         problem, self._euclidean = target.problem, target.energy == "euclidean"
         if not (self._euclidean or isinstance(target.kappa, float)):
             raise ValueError(
@@ -71,7 +74,7 @@ class HMC(Sampler):
         first = 0.5 / np.sqrt(self.kappa * problem.degrees.max() + problem.n) if step is None else step
         self._adapting, self._averaging = step is None, DualAveraging(np.full(len(start), first), self._target)
         self._step = self._averaging.step
-        self._squares, self._weight = np.zeros(len(start)), 0.0
+        self._length, self._squares, self._weight = length, np.zeros(len(start)), 0.0
         self._c, self._age = np.ascontiguousarray(start), 0
         self._accepted, self._tried = 0.0, 0
         self.refresh()
@@ -170,7 +173,8 @@ class HMC(Sampler):
     def _n_steps(self, fraction: float) -> int:
         mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
         n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
-        length = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
+        adapted = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
+        length = adapted if self._length is None else self._length
         return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
 
     def _adapt(self, chance: np.ndarray) -> None:

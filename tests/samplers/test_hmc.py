@@ -172,6 +172,7 @@ def test_nothing_is_adapted_after_the_warmup():
         ({"energy": "l1"}, "energy: 'euclidean' or 'geodesic'"),
         ({"integrator": "qf"}, "integrator: 'cayley' or 'exp'"),
         ({"step": 0.0}, "step: must be finite and > 0"),
+        ({"length": -1.0}, "length: must be finite and > 0"),
         ({"energy": "geodesic"}, "cannot be inferred"),
         ({"energy": "geodesic", "kappa": "auto"}, "cannot be inferred"),
         ({"likelihood": "projected-gaussian"}, "likelihood: 'hmc' takes 'langevin' alone"),
