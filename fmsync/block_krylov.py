@@ -23,48 +23,67 @@ def largest_eigenpairs(
         values, vectors = np.linalg.eigh(apply(np.eye(size)))
         return values[::-1][:k], vectors[:, ::-1][:, :k]
     while True:
-        values, vectors = _block_lanczos(apply, size, k, block, tolerance)
+        start = np.linalg.qr(np.random.default_rng(0).standard_normal((size, block)))[0].T  # (b, size)
+        values, rows = block_lanczos(apply, start, k, lambda values: tolerance * values)
         coincide = values[block - 1 :] > values[: len(values) - block + 1] * (1 - 1e-6)
         if not coincide.any():
-            return values, vectors
+            return values, rows.T
         block *= 2
 
 
-def _block_lanczos(
-    apply: Callable[[np.ndarray], np.ndarray], size: int, k: int, block: int, tolerance: float
+def block_lanczos(
+    apply: Callable[[np.ndarray], np.ndarray],
+    rows: np.ndarray,
+    k: int,
+    tolerance: Callable[[np.ndarray], np.ndarray],
+    depth: int | None = None,
+    cycles: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
-    krylov = np.empty((4 * k + 20 * block, size))  # orthonormal rows; contiguous, so every product below is one GEMM
-    projected = np.zeros((0, 0))  # upper triangle of the operator in that basis
-    rows = np.linalg.qr(np.random.default_rng(0).standard_normal((size, block)))[0].T  # (b, size)
-    used = 0
-    while True:
-        if used + block > len(krylov):
-            krylov = np.concatenate([krylov, np.empty_like(krylov)])
-        krylov[used : used + block] = rows
-        used += block
-        basis = krylov[:used]
+    """Eigenvalues (k,) descending and eigenvectors (k, size) of a symmetric operator, in the precision of ``rows``.
 
-        image = apply(rows.T).T  # (b, size)
-        overlap = basis @ image.T  # (used, b)
-        image -= overlap.T @ basis
-        projected = np.pad(projected, (0, block))
-        projected[:, -block:] = overlap
+    Begins with orthonormal ``rows`` (b, size); ``apply`` maps (size, b) to (size, b). Ends when the residuals (k,) are
+    below ``tolerance`` of the eigenvalues. With a ``depth``, which needs b = k, it begins again from the best k after
+    so many products, and after the last of the ``cycles`` returns the best there is.
+    """
+    block, size = rows.shape
+    room = 4 * k + 20 * block if depth is None else depth * block
+    krylov = np.empty((room, size), rows.dtype)  # orthonormal rows; contiguous, so every product below is one GEMM
+    for _ in range(cycles):
+        projected = np.zeros((0, 0))  # upper triangle of the operator in that basis
+        used, met, full = 0, False, False
+        while not (met or full):
+            if used + block > len(krylov):
+                krylov = np.concatenate([krylov, np.empty_like(krylov)])
+            krylov[used : used + block] = rows
+            used += block
+            basis = krylov[:used]
 
-        # The second pass comes after the normalisation: when the space is exhausted what is left is noise, and this
-        # turns it into fresh directions.
-        rows, scale = _orthonormal_rows(image)
-        rows = rows - (basis @ rows.T).T @ basis
-        rows, _ = _orthonormal_rows(rows)
+            image = apply(rows.T).T  # (b, size)
+            overlap = basis @ image.T  # (used, b)
+            image -= overlap.T @ basis
+            projected = np.pad(projected, (0, block))
+            projected[:, -block:] = overlap
 
-        if used >= 2 * k and used // block % 2 == 0:
-            values, combination = np.linalg.eigh(projected, UPLO="U")
-            values, combination = values[::-1][:k], combination[:, ::-1][:, :k]  # (k,), (used, k)
-            residual = np.linalg.norm(scale @ combination[-block:], axis=0)
-            if (residual <= tolerance * values).all():
-                return values, (combination.T @ basis).T
+            # The second pass comes after the normalisation: when the space is exhausted what is left is noise, and this
+            # turns it into fresh directions. In single precision the search ends before.
+            rows, scale = orthonormal_rows(image)
+            if rows.dtype == np.float64:
+                rows = rows - (basis @ rows.T).T @ basis
+                rows, _ = orthonormal_rows(rows)
+
+            full = depth is not None and used == depth * block
+            if full or (used >= 2 * k and used // block % 2 == 0):
+                values, combination = np.linalg.eigh(projected, UPLO="U")
+                values, combination = values[::-1][:k], combination[:, ::-1][:, :k]  # (k,), (used, k)
+                residual = np.linalg.norm(scale @ combination[-block:], axis=0)
+                met = bool((residual <= tolerance(values)).all())
+        rows = combination.T.astype(krylov.dtype, copy=False) @ basis
+        if met:
+            break
+    return values, rows
 
 
-def _orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal rows and the triangle R with rows = R^T q: Cholesky twice, or QR near rank loss."""
     size = np.sqrt((rows * rows).sum(axis=1))
     gram = rows @ rows.T

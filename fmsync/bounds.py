@@ -1,16 +1,25 @@
-r"""How good an answer can be: effective resistance, floors for small errors, and a rule of thumb for large ones."""
+r"""How good an answer can be: effective resistance, Cramér–Rao bounds, and a rule of thumb for large errors."""
 
 from functools import cache
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.langevin import mean_cosine
 from fmsync.problem import SyncProblem
 
 _MOMENT_SAMPLES = 4000  # relative standard error of w_F at n = 20: 4e-4
+
+
+def grounded_laplacian(problem: SyncProblem) -> SuperLU:
+    """Sparse factors of the weighted graph Laplacian without its first row and column, whose node is held at 0."""
+    (i, j), n_nodes = problem.edges.T, problem.n_nodes
+    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
+    adjacency = sp.csc_matrix((np.tile(problem.weights, 2), ends), shape=(n_nodes, n_nodes))
+    laplacian = sp.diags(problem.degrees).tocsc() - adjacency
+    return splu(laplacian[1:, 1:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def effective_resistance(
@@ -18,39 +27,18 @@ def effective_resistance(
 ) -> np.ndarray:
     r"""Resistance :math:`R_{ij} = (e_i - e_j)^\top L^+ (e_i - e_j)` between pairs of nodes, edges as conductors.
 
-    Parameters
-    ----------
-    n_nodes, edges
-        Connected graph; repeated edges are parallel conductors.
-    pairs
-        (K, 2) pairs to measure between; the edges by default.
-    weights
-        (E,) conductances, ones by default.
-
-    Returns
-    -------
-    ndarray
-        (K,); 2/N for every pair of a complete graph.
-
-    Raises
-    ------
-    ValueError
-        The graph is disconnected or an edge invalid.
+    Returns (K,) for ``pairs`` (K, 2), the edges by default, of a connected graph whose repeated edges are parallel
+    conductors; ``weights`` (E,) are conductances, ones by default. It is 2/N for every pair of a complete graph.
 
     Examples
     --------
-    >>> from fmsync.bounds import effective_resistance
     >>> effective_resistance(3, [[0, 1], [1, 2], [0, 2]]).round(4)
     array([0.6667, 0.6667, 0.6667])
     """
     edges = np.asarray(edges)
     checked = SyncProblem(n_nodes, edges, np.broadcast_to(np.eye(2), (len(edges), 2, 2)), weights)
     pairs = checked.edges if pairs is None else np.asarray(pairs)
-    (i, j), w = checked.edges.T, checked.weights
-    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
-    adjacency = sp.csc_matrix((np.tile(w, 2), ends), shape=(n_nodes, n_nodes))
-    laplacian = sp.diags(checked.degrees).tocsc() - adjacency
-    grounded = splu(laplacian[1:, 1:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    grounded = grounded_laplacian(checked)
     resistance = np.empty(len(pairs))
     for first in range(0, len(pairs), 1024):  # a block of right-hand sides at a time
         block = pairs[first : first + 1024]
@@ -66,26 +54,13 @@ def effective_resistance(
 def relative_error_bound(
     n_nodes: int, edges: np.ndarray, n: int, sigma2: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
-    r"""Small-error floor :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
+    r"""Cramér–Rao bound :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
 
-    Cramér–Rao for maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R the effective
-    resistance. Valid below the recovery threshold only: past it estimators shrink and cross the line.
+    For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. It
+    holds below the recovery threshold only: past it estimators shrink, are biased and cross the line.
 
-    Parameters
-    ----------
-    n_nodes, edges
-        Connected graph, one observation per edge.
-    n
-        Size of the maps.
-    sigma2
-        Noise variance per entry.
-    pairs
-        (K, 2) pairs; the edges by default.
-
-    Returns
-    -------
-    ndarray
-        (K,) floors of the mean *squared* Frobenius error.
+    Returns (K,) lower bounds of the mean *squared* Frobenius error for ``pairs`` (K, 2), the edges by default, of a
+    connected graph with one observation of a map (n, n) per edge.
 
     Examples
     --------
@@ -93,44 +68,26 @@ def relative_error_bound(
     >>> fmsync.relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
     array([0.02, 0.02, 0.02])
     """
-    _check_sigma2(sigma2)
+    checks.not_negative("sigma2", sigma2)
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
 
 
 def langevin_error_bound(
     n_nodes: int, edges: np.ndarray, n: int, kappa: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
-    r"""Small-error floor :math:`d\,R_{ij} / (\kappa\beta_n(\kappa))` under matrix-Langevin noise.
+    r"""Cramér–Rao bound :math:`d\,R_{ij} / (\kappa\beta_n(\kappa))` under matrix-Langevin noise.
 
     :math:`\kappa\beta_n(\kappa)` is the Fisher information of one observation per dimension of SO(n), d = n(n-1)/2;
     :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`.
 
-    Parameters
-    ----------
-    n_nodes, edges, n, pairs
-        As in :func:`fmsync.relative_error_bound`.
-    kappa
-        Concentration of the observations, > 0.
-
-    Returns
-    -------
-    ndarray
-        (K,) floors of the mean *squared* Frobenius error.
-
-    Raises
-    ------
-    ValueError
-        The concentration is not in (0, 1e5].
+    ``kappa`` is the concentration of the observations, in (0, 1e5]; all else as in :func:`relative_error_bound`.
 
     Examples
     --------
-    >>> from fmsync.bounds import langevin_error_bound
     >>> langevin_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, kappa=100.0).round(4)
     array([0.0201, 0.0201, 0.0201])
     """
-    if not kappa > 0:
-        raise ValueError(f"kappa: the concentration of the observations must be > 0, got {kappa}")
-    information = kappa * mean_cosine(n, kappa)
+    information = checks.positive("kappa", kappa) * mean_cosine(n, kappa)
     return n * (n - 1) / 2 / information * effective_resistance(n_nodes, edges, pairs)
 
 
@@ -142,10 +99,7 @@ def expected_rms_error(
     :math:`w_F = \left(\tfrac{n-1}{2}E\operatorname{tr}Z\right)^2 / E\lVert\mathrm{skew}\,Z\rVert_F^2` for
     Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error.
 
-    Returns
-    -------
-    ndarray
-        (K,) as in :func:`fmsync.relative_error_bound`, but not squared.
+    Parameters and result (K,) are those of :func:`relative_error_bound`, but not squared.
 
     Examples
     --------
@@ -153,7 +107,7 @@ def expected_rms_error(
     >>> float(fmsync.expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
     0.6
     """
-    _check_sigma2(sigma2)
+    checks.not_negative("sigma2", sigma2)
     resistance = effective_resistance(n_nodes, edges, pairs)
     if sigma2 == 0:
         return np.zeros_like(resistance)
@@ -170,7 +124,6 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
 
     Examples
     --------
-    >>> from fmsync.bounds import projected_noise_moments
     >>> round(projected_noise_moments(20, 0.2)[0] / 20, 2)
     0.41
     """
@@ -185,10 +138,7 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{kN + 1}`, k observations per pair: there the
     leading eigenvectors of the connection matrix drown in its bulk (a heuristic from random matrices).
 
-    Returns
-    -------
-    float
-        σ²; infinity when even σ² = 100 stays above it.
+    Infinity when even σ² = 100 stays above it.
 
     Examples
     --------
@@ -208,8 +158,3 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> 
         middle = (low + high) / 2
         low, high = (middle, high) if cosine(middle) > target else (low, middle)
     return (low + high) / 2
-
-
-def _check_sigma2(sigma2: float) -> None:
-    if not (np.isfinite(sigma2) and sigma2 >= 0):
-        raise ValueError(f"sigma2: must be finite and >= 0, got {sigma2}")

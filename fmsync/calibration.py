@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from fmsync import langevin, so
-
 _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
@@ -19,9 +17,7 @@ def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration
-    >>> float(calibration.rank(np.arange(4.0), 1.5))
+    >>> float(rank(np.arange(4.0), 1.5))
     0.5
     """
     draws = np.asarray(draws)
@@ -38,10 +34,8 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration
     >>> u = np.random.default_rng(0).integers(0, 100, 500) / 99
-    >>> calibration.uniformity(u, 99) > 0.01 > calibration.uniformity(u**2, 99)
+    >>> uniformity(u, 99) > 0.01 > uniformity(u**2, 99)
     True
     """
     ranks = np.asarray(ranks, dtype=float)
@@ -61,10 +55,9 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration, so
+    >>> from fmsync import so
     >>> draws = so.random_uniform(3, 200, rng=0)
-    >>> 0 <= calibration.ball_level(draws, np.eye(3)) <= 1
+    >>> 0 <= ball_level(draws, np.eye(3)) <= 1
     True
     """
     draws = _checked(draws, truth)
@@ -92,9 +85,7 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration
-    >>> shares, errors = calibration.coverage(np.random.default_rng(0).random((400, 5)), [0.5, 0.9])
+    >>> shares, errors = coverage(np.random.default_rng(0).random((400, 5)), [0.5, 0.9])
     >>> bool((abs(shares - [0.5, 0.9]) < 4 * errors).all())
     True
     """
@@ -123,10 +114,8 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration
     >>> draws = np.random.default_rng(0).standard_normal((400, 1, 2, 2))
-    >>> calibration.covered(draws, np.zeros((1, 2, 2)), [0.5, 0.9]).ravel().tolist()
+    >>> covered(draws, np.zeros((1, 2, 2)), [0.5, 0.9]).ravel().tolist()
     [True, True]
     """
     if len(draws) < 4:
@@ -141,8 +130,7 @@ def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
 
     Examples
     --------
-    >>> from fmsync import calibration
-    >>> calibration.calibration_error([0.6, 0.8, 0.9], [0.5, 0.8, 0.9])
+    >>> calibration_error([0.6, 0.8, 0.9], [0.5, 0.8, 0.9])
     0.033333333333
     """
     return round(float(np.abs(np.subtract(shares, levels)).mean()), 12)
@@ -163,13 +151,10 @@ def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import calibration, so
-    >>> calibration.energy_score(np.stack([np.eye(3)] * 5), np.eye(3))
+    >>> energy_score(np.stack([np.eye(3)] * 5), np.eye(3))
     0.0
     """
-    if len(draws) < 2 or draws.shape[1:] != truth.shape:
-        raise ValueError(f"draws: expected (T, *{truth.shape}), of which the energy score needs two, got {draws.shape}")
+    draws = _checked(draws, truth)
     count = min(len(draws), _MOST_DRAWS)
     chosen = draws[np.linspace(0, len(draws) - 1, count).round().astype(int)]
     near = np.linalg.norm(chosen - truth, axis=(-2, -1)).mean()
@@ -184,28 +169,8 @@ def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     return float(near - apart / (flats.shape[1] * count * (count - 1)) / 2)
 
 
-def log_score(draws: np.ndarray, truth: np.ndarray) -> float:
-    r"""Logarithmic score :math:`-\log\hat p(C^*)` of the matrix-Langevin law fitted to draws (T, n, n); lower is better.
-
-    Mode: the projected mean; concentration: matched to the mean cosine, so that the fit is the maximum of the likelihood.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fmsync import calibration, so
-    >>> draws = so.exp(0.1 * so.skew(np.random.default_rng(0).standard_normal((300, 3, 3))))
-    >>> calibration.log_score(draws, np.eye(3)) < 0
-    True
-    """  # noqa: E501
-    draws = _checked(draws, truth)
-    n, mean = draws.shape[-1], draws.mean(axis=0)
-    mode = so.project(mean)
-    kappa = langevin.matched_kappa(n, float(np.vdot(mode, mean)) / n)
-    return float(langevin.log_normaliser(n, kappa) - kappa * np.vdot(mode, truth))
-
-
 def _checked(draws: np.ndarray, truth: np.ndarray) -> np.ndarray:
     draws = np.asarray(draws, dtype=float)
-    if draws.ndim != 3 or draws.shape[1:] != np.shape(truth) or len(draws) < 2:
-        raise ValueError(f"draws: expected (T, n, n) that fit the truth {np.shape(truth)}, T >= 2, got {draws.shape}")
+    if draws.shape[1:] != np.shape(truth) or len(draws) < 2:
+        raise ValueError(f"draws: need at least two that fit the truth {np.shape(truth)}, got shape {draws.shape}")
     return draws

@@ -7,6 +7,7 @@ All of them live on the basis of unit area, so units and scale do not matter. Th
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.shape import Basis
 
 
@@ -14,24 +15,8 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     r"""Heat kernel signature :math:`\sum_k e^{-\lambda_k t} \phi_k(x)^2 / \sum_k e^{-\lambda_k t}` (Sun et al. 2009).
 
     Times are log-spaced between :math:`4 \ln 10 / \lambda_n` and :math:`4 \ln 10 / \lambda_2`. Dividing by the trace
-    weighs all times alike; the area-weighted mean of every column is then 1.
-
-    Parameters
-    ----------
-    basis
-        At least two eigenfunctions on V vertices.
-    n_times
-        Number of columns K.
-
-    Returns
-    -------
-    ndarray
-        (V, K), short times first.
-
-    Raises
-    ------
-    ValueError
-        A basis of one function, or ``n_times`` < 1.
+    weighs all times alike; the area-weighted mean of every column is then 1. Returns (V, ``n_times``) for a basis of at
+    least two eigenfunctions on V vertices, short times first.
 
     Examples
     --------
@@ -49,22 +34,7 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     Weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced between
     :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as Aubry et al. do.
 
-    Parameters
-    ----------
-    basis
-        At least two eigenfunctions on V vertices.
-    n_energies
-        Number of columns K.
-
-    Returns
-    -------
-    ndarray
-        (V, K), low energies first; the area-weighted mean of every column is 1.
-
-    Raises
-    ------
-    ValueError
-        A basis of one function, or ``n_energies`` < 1.
+    Returns (V, ``n_energies``), low energies first; the area-weighted mean of every column is 1.
 
     Examples
     --------
@@ -87,26 +57,9 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
 def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.ndarray:
     r"""Heat at every vertex from a unit source at each landmark, :math:`\sum_k e^{-\lambda_k t} \phi_k(x) \phi_k(y)`.
 
-    Each column is scaled to area-weighted norm 1, so that long and short times weigh alike.
-
-    Parameters
-    ----------
-    basis
-        At least two eigenfunctions on V vertices.
-    landmarks
-        (L,) vertices y; the same points in the same order on every shape.
-    n_times
-        Times of each landmark, as in :func:`heat_kernel_signature`.
-
-    Returns
-    -------
-    ndarray
-        (V, L * n_times), the times of the first landmark first.
-
-    Raises
-    ------
-    ValueError
-        A basis of one function, ``n_times`` < 1, or a landmark outside the shape.
+    Each column is scaled to area-weighted norm 1, so that long and short times weigh alike. ``landmarks`` (L,) are
+    vertices y, the same points in the same order on every shape; times are those of :func:`heat_kernel_signature`.
+    Returns (V, L * n_times), the times of the first landmark first.
 
     Examples
     --------
@@ -114,10 +67,7 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
     >>> bool(np.diff(heat_kernel(basis, [0], 1)[:, 0]) < 0)  # colder away from the source
     True
     """
-    landmarks = np.asarray(landmarks)
-    bad = np.flatnonzero((landmarks < 0) | (landmarks >= basis.n_vertices))
-    if len(bad):
-        raise ValueError(f"landmarks[{bad[0]}] = {landmarks[bad[0]]} is outside the vertices 0..{basis.n_vertices - 1}")
+    landmarks = checks.indices("landmarks", landmarks, basis.n_vertices)
     decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)
     sources = basis.eigenfunctions[landmarks]  # (L, n)
     coefficients = (sources[:, None, :] * decay).reshape(-1, basis.n)  # (L T, n)
@@ -140,5 +90,4 @@ def _squares_averaged(basis: Basis, weights: np.ndarray) -> np.ndarray:
 def _check(basis: Basis, count: int, name: str) -> None:
     if basis.n < 2:
         raise ValueError("descriptors need a basis of at least two functions: the first one is constant")
-    if count < 1:
-        raise ValueError(f"{name} = {count} must be at least 1")
+    checks.count(name, count)

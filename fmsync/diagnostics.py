@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from arviz_stats.base import array_stats
 
+from fmsync import checks
 from fmsync.problem import SyncProblem
 
 _MAX_PAIRS = 10
@@ -31,9 +32,8 @@ class Draws(Protocol):
     @property
     def settings(self) -> Mapping[str, object]: ...
 
-    def kept(self) -> np.ndarray:
-        """(chains, draws, N, n, n) absolute maps."""
-        ...
+    @property
+    def absolute(self) -> np.ndarray: ...
 
 
 class ConvergenceWarning(UserWarning):
@@ -57,8 +57,6 @@ class Summary:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync.diagnostics import Summary
     >>> one = np.ones(1)
     >>> table = Summary(("energy",), 12.5 * one, 0.25 * one, 1.001 * one, 812.4 * one, 640.2 * one)
     >>> table
@@ -128,17 +126,15 @@ _COLUMNS = ("mean", "sd", "r_hat", "ess_bulk", "ess_tail")
 
 
 def rhat(values: np.ndarray) -> float:
-    """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, tell the same story.
+    """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, agree.
 
     Near 1 is necessary, not sufficient; above 1.01 do not trust the draws (Vehtari et al. 2021). NaN for values that
     do not vary or for fewer than four draws.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import diagnostics
     >>> noise = np.random.default_rng(0).standard_normal((4, 500))
-    >>> diagnostics.rhat(noise) < 1.01 < diagnostics.rhat(noise + np.arange(4)[:, None])
+    >>> rhat(noise) < 1.01 < rhat(noise + np.arange(4)[:, None])
     True
     """
     values = _checked(values)
@@ -146,18 +142,15 @@ def rhat(values: np.ndarray) -> float:
 
 
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
-    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of the law, ``"tail"`` for its quantiles.
+    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, ``"tail"`` for its tails.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import diagnostics
     >>> walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 500)), axis=1)
-    >>> diagnostics.ess(walk) < 50
+    >>> ess(walk) < 50
     True
     """
-    if kind not in ("bulk", "tail"):
-        raise ValueError(f"kind: 'bulk' or 'tail', not {kind!r}")
+    checks.one_of("kind", kind, ("bulk", "tail"))
     values = _checked(values)
     if not _varies(values):
         return np.nan
@@ -172,10 +165,9 @@ def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarra
     if edges is None:
         distinct = np.unique(post.problem.edges, axis=0)
         edges = distinct[np.linspace(0, len(distinct) - 1, min(_MAX_PAIRS, len(distinct))).astype(int)]
-    values = _levels(post)
-    absolute = post.kept()
+    values = _watched(post)
     for i, j in np.asarray(edges).tolist():
-        first, second = absolute[:, :, i], absolute[:, :, j]
+        first, second = post.absolute[:, :, i], post.absolute[:, :, j]
         values[f"tr C[{i},{j}]"] = np.einsum("ktab,ktab->kt", first, second)
         values[f"C[{i},{j}][0,0]"] = np.einsum("kta,kta->kt", first[..., 0], second[..., 0])
     return values
@@ -202,19 +194,19 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
 
 
 def warn_unless_converged(post: Draws) -> None:
-    """Warn when the energy or an inferred noise level has R-hat above 1.01 or fewer than 400 effective draws.
+    """Warn when the energy or an inferred concentration has R-hat above 1.01 or fewer than 400 effective draws.
 
     :func:`summary` warns of its other scalars as well.
     """
-    values = _levels(post)
+    values = _watched(post)
     r_hat, effective = (np.array([statistic(x) for x in values.values()]) for statistic in (rhat, ess))
     _warn(tuple(values), r_hat, effective)
 
 
-def _levels(post: Draws) -> dict[str, np.ndarray]:
+def _watched(post: Draws) -> dict[str, np.ndarray]:
     """The energy, and the logarithm of the concentration where it was inferred."""
     values = {"energy": post.energy}
-    if post.settings.get("level_inferred"):
+    if post.settings.get("kappa_inferred"):
         values["log kappa"] = np.log(post.kappa)
     return values
 
@@ -224,7 +216,7 @@ def _warn(names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> N
     if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
         worst = int(np.nanargmax(r_hat))
         complaints.append(
-            f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains tell different stories; "
+            f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree; "
             "lengthen warmup, or try method='tempered' if it stays"
         )
     if (effective < _LEAST_ESS).any():

@@ -142,6 +142,18 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return g
 
 
+def gram_blocks(problem: SyncProblem) -> np.ndarray:
+    r"""(N, n, n) sums of :math:`w C_{ij} C_{ij}^\top` over edges out of a node and of w I over edges into it.
+
+    The part of the Hessian of :func:`unconstrained_energy` on the diagonal, but for a factor of 2.
+    """
+    gram = np.zeros((problem.n_nodes, problem.n, problem.n))
+    weights = problem.weights[:, None, None]
+    np.add.at(gram, problem.edges[:, 0], weights * (problem.maps @ transpose(problem.maps)))
+    np.add.at(gram, problem.edges[:, 1], weights * np.eye(problem.n))
+    return gram
+
+
 def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r""":math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` for arbitrary matrices C_i; equals ``energy`` on rotations."""
     i, j = problem.edges.T

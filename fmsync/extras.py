@@ -12,17 +12,8 @@ class MissingExtra(ImportError):
 def require(module: str, extra: str) -> ModuleType:
     """Import an optional module.
 
-    Parameters
-    ----------
-    module
-        Full name of the module, such as ``"matplotlib.pyplot"``.
-    extra
-        Extra of this project that installs it: ``"shapes"``, ``"viz"`` or ``"bench"``.
-
-    Raises
-    ------
-    MissingExtra
-        The module, or one that it imports, is not installed. It is an ``ImportError`` and names the extra.
+    ``module`` is its full name and ``extra`` the extra of this project that installs it; a :class:`MissingExtra`, which
+    is an ``ImportError``, when it or a module that it imports is not installed.
 
     Examples
     --------
@@ -44,20 +35,6 @@ def require_all(user: str, extra: str, *modules: str) -> None:
 
     A package that is of no use without an extra calls this before its other imports, so that a missing module is
     reported at once and not after long work.
-
-    Parameters
-    ----------
-    user
-        What needs the modules, for the message.
-    extra
-        Extra of this project that installs them.
-    *modules
-        Their names, without dots.
-
-    Raises
-    ------
-    MissingExtra
-        One of them is not installed. It is an ``ImportError`` and names the extra.
 
     Examples
     --------

@@ -6,46 +6,30 @@ j are pulled back along a point map from i to j, and ``C_ij @ C_jk`` is ``C_ik``
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.shape import Basis
 
 
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
-    r"""Functional map :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j` of a point map from shape i to shape j.
+    r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
     Parameters
     ----------
-    basis_i
-        Basis of n_i functions on V_i vertices.
-    basis_j
-        Basis of n_j functions on V_j vertices.
+    basis_i, basis_j
+        Bases of n_i functions on V_i vertices, and of n_j on V_j.
     point_map
         (V_i,) the vertex of j that each vertex of i goes to: P f = f[point_map].
-
-    Returns
-    -------
-    ndarray
-        (n_i, n_j) matrix.
-
-    Raises
-    ------
-    ValueError
-        A point map of the wrong length, not of integers, or that points outside shape j.
 
     Examples
     --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> functional_map(basis, basis, np.array([1, 0]))  # swapping the two vertices turns the second function
+    >>> functional_map(basis, basis, np.array([1, 0]))  # swapping the two vertices flips the second function
     array([[ 1.,  0.],
            [ 0., -1.]])
     """
-    point_map = np.asarray(point_map)
-    if point_map.shape != (basis_i.n_vertices,) or not np.issubdtype(point_map.dtype, np.integer):
-        raise ValueError(
-            f"point_map must hold one vertex of j for each of the {basis_i.n_vertices} vertices of i, "
-            f"got {point_map.dtype} of shape {point_map.shape}"
-        )
-    _check_vertices(point_map, basis_j.n_vertices, "point_map")
+    point_map = checks.indices("point_map", point_map, basis_j.n_vertices)
+    if len(point_map) != basis_i.n_vertices:
+        raise ValueError(f"point_map: need a vertex of j for each of {basis_i.n_vertices} of i, got {len(point_map)}")
     return basis_i.coefficients(basis_j.eigenfunctions[point_map])
 
 
@@ -57,7 +41,7 @@ def functional_map_from_descriptors(
     orthogonal: bool = False,
     commutativity: float = 1e-3,
 ) -> np.ndarray:
-    r"""Functional map that takes the descriptors of shape j to those of shape i.
+    r"""Functional map (n_i, n_j) that takes the descriptors of shape j to those of shape i.
 
     Minimises, with descriptor coefficients A on i and B on j,
 
@@ -75,10 +59,8 @@ def functional_map_from_descriptors(
 
     Parameters
     ----------
-    basis_i
-        Basis of n_i functions on V_i vertices.
-    basis_j
-        Basis of n_j functions on V_j vertices.
+    basis_i, basis_j
+        As in :func:`functional_map`.
     descriptors_i, descriptors_j
         Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
     orthogonal
@@ -86,17 +68,6 @@ def functional_map_from_descriptors(
         near a reflection: fix the signs of the eigenfunctions first (:meth:`Basis.with_flipped`).
     commutativity
         Weight w >= 0 of the second term.
-
-    Returns
-    -------
-    ndarray
-        (n_i, n_j) matrix.
-
-    Raises
-    ------
-    ValueError
-        Descriptors that are not finite, do not fit the shapes or each other; a negative weight; ``orthogonal`` with
-        bases of unequal size.
 
     Examples
     --------
@@ -109,8 +80,7 @@ def functional_map_from_descriptors(
     descriptors_j = _checked_descriptors(descriptors_j, basis_j, "descriptors_j")
     if descriptors_i.shape[1] != descriptors_j.shape[1]:
         raise ValueError(f"{descriptors_i.shape[1]} descriptors on i but {descriptors_j.shape[1]} on j: need the same")
-    if not commutativity >= 0:
-        raise ValueError(f"commutativity = {commutativity} must not be negative")
+    checks.not_negative("commutativity", commutativity)
     if orthogonal and basis_i.n != basis_j.n:
         raise ValueError(f"an orthogonal map needs bases of one size, got {basis_i.n} and {basis_j.n}: truncate one")
 
@@ -131,12 +101,8 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
 
     Parameters
     ----------
-    c_ij
-        (n_i, n_j) functional map.
-    basis_i
-        Basis of n_i functions on V_i vertices.
-    basis_j
-        Basis of n_j functions on V_j vertices.
+    c_ij, basis_i, basis_j
+        (n_i, n_j) functional map, and bases as in :func:`functional_map`.
     vertices
         (v,) vertices of i to map; all of them if None.
 
@@ -144,11 +110,6 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     -------
     ndarray
         (V_i,) or (v,) vertices of j. Ties go to the lowest index.
-
-    Raises
-    ------
-    ValueError
-        A map that is not finite or not (n_i, n_j); vertices outside shape i.
 
     Examples
     --------
@@ -161,11 +122,7 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
         raise ValueError(f"c_ij must be a finite ({basis_i.n}, {basis_j.n}) matrix, got shape {c_ij.shape}")
     rows = basis_i.eigenfunctions
     if vertices is not None:
-        vertices = np.asarray(vertices)
-        if vertices.ndim != 1 or not np.issubdtype(vertices.dtype, np.integer):
-            raise ValueError(f"vertices must be (v,) integers, got {vertices.dtype} of shape {vertices.shape}")
-        _check_vertices(vertices, basis_i.n_vertices, "vertices")
-        rows = rows[vertices]
+        rows = rows[checks.indices("vertices", vertices, basis_i.n_vertices)]
     return nearest_rows(rows @ c_ij, basis_j.eigenfunctions)
 
 
@@ -206,9 +163,3 @@ def _checked_descriptors(descriptors: np.ndarray, basis: Basis, name: str) -> np
     if len(bad):
         raise ValueError(f"{name}: descriptor {bad[0][1]} is not finite at vertex {bad[0][0]}")
     return descriptors
-
-
-def _check_vertices(indices: np.ndarray, n_vertices: int, name: str) -> None:
-    bad = np.flatnonzero((indices < 0) | (indices >= n_vertices))
-    if len(bad):
-        raise ValueError(f"{name}[{bad[0]}] = {indices[bad[0]]} is outside the vertices 0..{n_vertices - 1}")

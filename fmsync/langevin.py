@@ -1,4 +1,4 @@
-r"""The matrix-Langevin law on SO(n): normaliser, mean cosine and the concentration that matches a noise.
+r"""The matrix-Langevin distribution on SO(n): normaliser, mean cosine and the concentration that matches a noise.
 
 :math:`p(R) = \exp(\kappa\operatorname{tr}(M^\top R)) / c_n(\kappa)` with respect to the Haar probability. Weyl's
 integration formula makes :math:`c_n` a Hankel determinant of the weight
@@ -19,6 +19,8 @@ from numpy.polynomial import Chebyshev
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 
+from fmsync import checks
+
 _LARGEST_KAPPA = 1e5
 _SMALL = 2.0  # below it the norms h_j cancel too much, and log c_n is the integral of its derivative
 _SERIES_NODES = 64  # c_2 = I_0(2κ) has the nearest complex zero, at 1.2 i: 64 nodes on [-2, 2] leave nothing over
@@ -27,27 +29,11 @@ _SERIES_NODES = 64  # c_2 = I_0(2κ) has the nearest complex zero, at 1.2 i: 64 
 def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
     r"""Logarithm of :math:`c_n(\kappa) = E_{\mathrm{Haar}} \exp(\kappa \operatorname{tr} R)` on SO(n).
 
-    Parameters
-    ----------
-    n
-        Size of the rotations, >= 2.
-    kappa
-        Concentrations in [0, 1e5], any shape.
-
-    Returns
-    -------
-    ndarray
-        As ``kappa``; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
-
-    Raises
-    ------
-    ValueError
-        n or a concentration out of range.
+    For n >= 2 and concentrations in [0, 1e5] of any shape; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
 
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> float(langevin.log_normaliser(20, 10.0).round(11))
+    >>> float(log_normaliser(20, 10.0).round(11))
     50.22636766261
     """
     kappa, flat = _checked(n, kappa)
@@ -67,8 +53,7 @@ def mean_cosine(n: int, kappa: float | np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> langevin.mean_cosine(20, [5.0, 50.0]).round(4)
+    >>> mean_cosine(20, [5.0, 50.0]).round(4)
     array([0.25  , 0.9047])
     """
     kappa, flat = _checked(n, kappa)
@@ -81,15 +66,9 @@ def matched_kappa(n: int, cosine: float) -> float:
     Mean cosines <= 0 give 0. For the noise proj(I + σG), ``cosine`` is E tr Z / n
     (:func:`fmsync.bounds.projected_noise_moments`).
 
-    Raises
-    ------
-    ValueError
-        The cosine is so near 1 that kappa would pass 1e5.
-
     Examples
     --------
-    >>> from fmsync import langevin
-    >>> round(langevin.matched_kappa(20, 0.25), 3)
+    >>> round(matched_kappa(20, 0.25), 3)
     5.0
     """
     if cosine <= 0:
@@ -109,8 +88,7 @@ def matched_kappa(n: int, cosine: float) -> float:
 
 
 def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(n, bool) or int(n) != n or n < 2:
-        raise ValueError(f"n: rotations have a whole size n >= 2, got {n}")
+    checks.count("n", n, least=2)
     kappa = np.asarray(kappa, dtype=float)
     flat = kappa.ravel()
     bad = flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]

@@ -2,7 +2,7 @@ r"""The paper's oracle accuracy: how near the truth lies the best map that can b
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.problem import fix_gauge
 
 
@@ -32,17 +32,10 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     ndarray
         (M,) accuracies in (0, 1], never falling with the count.
 
-    Raises
-    ------
-    ValueError
-        Draws that do not fit the truth, or counts outside 1..K.
-
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import oracle, so
     >>> truth = so.random_uniform(4, 3, rng=0)
-    >>> oracle.oracle_accuracy(truth[None], truth).round(6)
+    >>> oracle_accuracy(truth[None], truth).round(6)
     array([1.])
     """
     draws, truth = np.asarray(draws, dtype=float), np.asarray(truth, dtype=float)
@@ -64,22 +57,13 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
 def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Generator = 0) -> np.ndarray:
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 
-    Parameters
-    ----------
-    first
-        (N, n, n) absolute maps, e.g. of the maximum of the likelihood.
-    n_samples
-        Number of samples >= 1, the first included.
-    rng
-        Seed or generator.
+    ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
 
     Examples
     --------
-    >>> from fmsync import oracle, so
-    >>> oracle.haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
+    >>> haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
     (10, 3, 4, 4)
     """
-    if n_samples < 1:
-        raise ValueError(f"n_samples: need at least one, got {n_samples}")
+    checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)
     return np.concatenate([fix_gauge(first)[None], fix_gauge(uniform)])

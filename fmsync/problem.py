@@ -5,23 +5,21 @@ Absolute maps C_i take shape i to a common universe, and an edge (i, j) carries 
 """
 
 import json
-import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import networkx as nx
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmsync import checks
+from fmsync.files import replacing
 from fmsync.so import transpose
 
-_DENSE_FROM = 0.5  # share of filled blocks from which one dense product beats a loop over edges: a little later for
+_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges: a little later for
 # one set of maps, a little sooner for a batch
-_ORTHOGONALITY_TOLERANCE = 1e-6
 _FIELDS = ("n_nodes", "edges", "maps", "weights", "provenance")  # of a problem file
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
@@ -43,12 +41,6 @@ class SyncProblem:
     provenance
         Where the problem comes from (collection, seed, protocol, versions): plain JSON values, read by nobody who
         solves it.
-
-    Raises
-    ------
-    ValueError
-        Naming the edge or the components: self-loops, nodes out of range, a disconnected graph, maps that are not
-        square or not finite, counts that disagree, weights that are not positive.
 
     Examples
     --------
@@ -72,7 +64,7 @@ class SyncProblem:
         weights: ArrayLike | None = None,
         provenance: Mapping[str, object] | None = None,
     ) -> None:
-        edges = validated_edges(n_nodes, edges)
+        edges = checks.connected_edges(n_nodes, edges)
         maps = np.array(maps, dtype=float)
         if maps.ndim != 3 or maps.shape[1] != maps.shape[2] or maps.shape[1] < 2:
             raise ValueError(f"maps: expected (E, n, n) with n >= 2, got {maps.shape}; all maps must be of one size")
@@ -80,13 +72,8 @@ class SyncProblem:
             raise ValueError(f"maps: {len(maps)} maps for {len(edges)} edges; give one map per edge")
         bad = np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))
         if bad.size:
-            raise ValueError(f"maps: edge {bad[0]} {_pair(edges[bad[0]])} holds NaN or infinity")
-        weights = np.ones(len(edges)) if weights is None else np.array(weights, dtype=float)
-        if weights.shape != (len(edges),):
-            raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
-        bad = np.flatnonzero(~((weights > 0) & np.isfinite(weights)))
-        if bad.size:
-            raise ValueError(f"weights: edge {bad[0]} {_pair(edges[bad[0]])} has weight {weights[bad[0]]}; must be > 0")
+            raise ValueError(f"maps: {checks.edge_name(edges, bad[0])} holds NaN or infinity")
+        weights = checks.edge_weights(weights, edges)
         object.__setattr__(self, "n_nodes", n_nodes)
         object.__setattr__(self, "provenance", {} if provenance is None else provenance)
         for name, array in (("edges", edges), ("maps", maps), ("weights", weights)):
@@ -114,14 +101,14 @@ class SyncProblem:
         return np.bincount(self.edges.ravel(), np.repeat(self.weights, 2), minlength=self.n_nodes)
 
     @cached_property
-    def distortion(self) -> np.ndarray:
+    def orthogonality_error(self) -> np.ndarray:
         r"""(E,) how far every map is from orthogonal, :math:`\lVert C_{ij}^\top C_{ij} - I\rVert_F / \sqrt n`."""
-        distortion = np.empty(self.n_edges)
+        error = np.empty(self.n_edges)
         for first in range(0, self.n_edges, _EDGES_AT_ONCE):
             maps = self.maps[first : first + _EDGES_AT_ONCE]
             rest = transpose(maps) @ maps - np.eye(self.n)
-            distortion[first : first + _EDGES_AT_ONCE] = np.sqrt(np.einsum("eab,eab->e", rest, rest) / self.n)
-        return distortion
+            error[first : first + _EDGES_AT_ONCE] = np.sqrt(np.einsum("eab,eab->e", rest, rest) / self.n)
+        return error
 
     @cached_property
     def is_dense(self) -> bool:
@@ -182,7 +169,7 @@ class LangevinPrior:
         mean = np.array(self.mean, dtype=float)
         if mean.ndim != 3:
             raise ValueError(f"mean: expected (N, n, n), got {mean.shape}")
-        check_rotations(mean, "mean")
+        checks.rotations("mean", mean)
         kappa = np.array(np.broadcast_to(np.asarray(self.kappa, dtype=float), len(mean)))
         bad = np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))
         if bad.size:
@@ -209,11 +196,8 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     >>> fmsync.problem.anchored(p, fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0), kappa=10.0).weights
     array([1. , 0.5, 0.5])
     """
-    if prior.mean.shape != (problem.n_nodes, problem.n, problem.n):
-        expected = (problem.n_nodes, problem.n, problem.n)
-        raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
-    if not (np.isfinite(kappa) and kappa > 0):
-        raise ValueError(f"kappa: the concentration of the observations must be > 0, got {kappa}")
+    check_prior(problem, prior)
+    checks.positive("kappa", kappa)
     held = np.flatnonzero(prior.kappa)
     edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
     return SyncProblem(
@@ -222,6 +206,13 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
         np.concatenate([problem.maps, prior.mean[held]]),
         np.concatenate([problem.weights, prior.kappa[held] / kappa]),
     )
+
+
+def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
+    """Raise a ValueError unless the prior has a mode for every map."""
+    expected = (problem.n_nodes, problem.n, problem.n)
+    if prior.mean.shape != expected:
+        raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
 
 
 def relative_maps(absolute: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -241,15 +232,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     A direction that no edge observes is read as the transpose of the other one, which only rotations justify; of
     repeated edges the last counts.
 
-    Parameters
-    ----------
-    n_nodes, edges, maps
-        As in :class:`SyncProblem`.
-
-    Returns
-    -------
-    ndarray
-        (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
+    Returns (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
 
     Examples
     --------
@@ -267,61 +250,10 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     return np.array([np.linalg.norm(lookup[i, j] @ lookup[j, k] @ lookup[k, i] - identity) for i, j, k in triangles])
 
 
-def check_rotations(c: np.ndarray, name: str) -> None:
-    """Raise a ValueError naming the first node of (N, n, n) that is not a rotation."""
-    if not np.isfinite(c).all():
-        raise ValueError(f"{name}: node {np.flatnonzero(~np.isfinite(c).all((1, 2)))[0]} holds NaN or infinity")
-    rest = np.abs(transpose(c) @ c - np.eye(c.shape[-1])).max((1, 2))
-    bad = np.flatnonzero((rest > _ORTHOGONALITY_TOLERANCE) | (np.linalg.det(c) < 0))
-    if bad.size:
-        raise ValueError(f"{name}: node {bad[0]} is not a rotation; project it first with fmsync.so.project")
-
-
-def _pair(edge: np.ndarray) -> str:
-    return f"({edge[0]}, {edge[1]})"
-
-
-def validated_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
-    if isinstance(n_nodes, bool) or int(n_nodes) != n_nodes or n_nodes < 2:
-        raise ValueError(f"n_nodes: need at least two shapes, got {n_nodes}")
-    raw = np.asarray(edges)
-    if raw.ndim != 2 or raw.shape[1] != 2 or len(raw) == 0:
-        raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {raw.shape}")
-    if not np.issubdtype(raw.dtype, np.integer):
-        raise ValueError(f"edges: node numbers must be integers, got {raw.dtype}")
-    array = raw.astype(np.int64)  # a copy
-    bad = np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))
-    if bad.size:
-        raise ValueError(f"edges: edge {bad[0]} {_pair(array[bad[0]])} is out of range for {n_nodes} nodes")
-    bad = np.flatnonzero(array[:, 0] == array[:, 1])
-    if bad.size:
-        raise ValueError(f"edges: edge {bad[0]} {_pair(array[bad[0]])} is a self-loop; remove it")
-    graph = nx.empty_graph(n_nodes)
-    graph.add_edges_from(array.tolist())
-    if not nx.is_connected(graph):
-        parts = [sorted(part) for part in nx.connected_components(graph)]
-        shown = "; ".join(str(part[:8])[1:-1] + (" ..." if len(part) > 8 else "") for part in parts[:6])
-        raise ValueError(
-            f"edges: the graph falls into {len(parts)} components ({shown}{' ...' if len(parts) > 6 else ''}); "
-            "add edges between them or solve each on its own"
-        )
-    return array
-
-
 def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     """Write a problem; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    problem
-        What to write, its provenance included.
-    path
-        File name; ``.npz`` is appended if it is missing.
-
-    Returns
-    -------
-    Path
-        The file written.
+    Returns the path, with ``.npz`` appended if it was missing; the provenance is written, too.
 
     Examples
     --------
@@ -334,21 +266,9 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     path = Path(path)
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     record = np.frombuffer(json.dumps(dict(problem.provenance)).encode(), dtype=np.uint8)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                n_nodes=np.int64(problem.n_nodes),
-                edges=problem.edges,
-                maps=problem.maps,
-                weights=problem.weights,
-                provenance=record,
-            )
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    arrays = {"edges": problem.edges, "maps": problem.maps, "weights": problem.weights, "provenance": record}
+    with replacing(path) as file:
+        np.savez(file, n_nodes=np.int64(problem.n_nodes), **arrays)  # type: ignore[arg-type]
     return path
 
 

@@ -30,13 +30,6 @@ class Shape:
     name
         How messages and figures call the shape.
 
-    Raises
-    ------
-    ValueError
-        Wrong dimensions, no vertices or no faces, a vertex that is not finite, a face that points outside the
-        vertices or repeats one of its own, a vertex that no face uses, or a surface of area zero. The message names
-        the first offender.
-
     Examples
     --------
     >>> square = Shape([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]], [[0, 1, 2], [0, 2, 3]], name="square")
@@ -83,11 +76,6 @@ class Basis:
     mass
         (V,) area of each vertex, the diagonal of A; sums to 1.
 
-    Raises
-    ------
-    ValueError
-        Shapes that do not fit together.
-
     Examples
     --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
@@ -128,7 +116,7 @@ class Basis:
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
     def with_flipped(self, k: int) -> "Basis":
-        """The same basis with the sign of eigenfunction k turned."""
+        """The same basis with the sign of eigenfunction k flipped."""
         if not 0 <= k < self.n:
             raise ValueError(f"k = {k} is not one of the basis functions 0..{self.n - 1}")
         signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
@@ -158,15 +146,8 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     n_basis
         Number n of eigenfunctions, 1 <= n < V.
 
-    Returns
-    -------
-    Basis
-        ``eigenvalues`` (n,), ``eigenfunctions`` (V, n), ``mass`` (V,). The first eigenfunction is constant.
-
     Raises
     ------
-    ValueError
-        Whatever :class:`Shape` refuses, an ``n_basis`` out of range, or a surface in several components.
     ImportError
         A point cloud or a mesh that takes the intrinsic-Delaunay Laplacian, without the extra ``shapes``.
 
@@ -228,9 +209,14 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.c
     return sparse.csr_array(stiffness), mass.diagonal()
 
 
+def edges_of_faces(faces: np.ndarray) -> np.ndarray:
+    """(3 F, 2) edges of triangles (F, 3), the smaller vertex first: corners 0–1, 1–2 and 2–0 of every face in turn."""
+    return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+
+
 def _is_clean(vertices: np.ndarray, faces: np.ndarray) -> bool:
     """No edge in more than two faces, no face so thin that its cotangents are noise."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)  # (3F, 2)
+    edges = edges_of_faces(faces)
     _, n_faces = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
     squared = ((vertices[edges[:, 0]] - vertices[edges[:, 1]]) ** 2).sum(axis=1).reshape(-1, 3)  # (F, 3)
     fat_enough = _triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.linalg import expm, schur
 
+from fmsync import checks
+
 # Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
 _SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
 
@@ -31,25 +33,13 @@ def skew(a: np.ndarray) -> np.ndarray:
 
 
 def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
-    r"""Project ambient vectors V onto the tangent space at C: :math:`\Pi_C(V) = V - C\,\mathrm{sym}(C^\top V)`.
+    r"""Project ambient vectors V (..., n, n) onto the tangent spaces at rotations C (..., n, n).
 
-    Parameters
-    ----------
-    c
-        Rotations (..., n, n).
-    v
-        Ambient vectors (..., n, n).
-
-    Returns
-    -------
-    ndarray
-        (..., n, n), equal to :math:`C\,\mathrm{skew}(C^\top V)`.
+    :math:`\Pi_C(V) = V - C\,\mathrm{sym}(C^\top V) = C\,\mathrm{skew}(C^\top V)`.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> bool(np.allclose(so.tangent(np.eye(3), np.eye(3)), 0))
+    >>> bool(np.allclose(tangent(np.eye(3), np.eye(3)), 0))
     True
     """
     return v - c @ sym(transpose(c) @ v)
@@ -59,23 +49,12 @@ def project(a: np.ndarray) -> np.ndarray:
     r"""Nearest rotation in the Frobenius norm: :math:`U\,\mathrm{diag}(1,\dots,1,\det(UV^\top))\,V^\top`.
 
     When det A < 0 the column of U that belongs to the *smallest* singular value is flipped; flipping the last column
-    of :math:`UV^\top` instead, as some libraries do, gives a rotation that is not the nearest.
-
-    Parameters
-    ----------
-    a
-        Matrices (..., n, n).
-
-    Returns
-    -------
-    ndarray
-        Rotations (..., n, n); ``numpy.linalg.LinAlgError`` if an entry is not finite.
+    of :math:`UV^\top` instead, as some libraries do, gives a rotation that is not the nearest. Takes (..., n, n) to
+    rotations (..., n, n); ``numpy.linalg.LinAlgError`` if an entry is not finite.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> so.project(np.diag([3.0, 2.0, -1.0]))
+    >>> project(np.diag([3.0, 2.0, -1.0]))
     array([[1., 0., 0.],
            [0., 1., 0.],
            [0., 0., 1.]])
@@ -89,22 +68,12 @@ def project(a: np.ndarray) -> np.ndarray:
 def qf(a: np.ndarray) -> np.ndarray:
     r"""Q factor of A = QR with the diagonal of R made positive: the paper's retraction :math:`R_C(\xi) = qf(C + \xi)`.
 
-    Parameters
-    ----------
-    a
-        Invertible matrices (..., n, n). ``qf`` keeps the sign of the determinant, and det(C + C Ω) = det(I + Ω) > 0 for
-        every skew Ω, so that retracting from a rotation stays in SO(n).
-
-    Returns
-    -------
-    ndarray
-        Orthogonal matrices (..., n, n).
+    Takes invertible (..., n, n) to orthogonal matrices and keeps the sign of the determinant. As det(C + C Ω) =
+    det(I + Ω) > 0 for every skew Ω, retracting from a rotation stays in SO(n).
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> bool(np.allclose(so.qf(np.diag([2.0, 3.0])), np.eye(2)))
+    >>> bool(np.allclose(qf(np.diag([2.0, 3.0])), np.eye(2)))
     True
     """
     q, r = np.linalg.qr(a)
@@ -117,9 +86,7 @@ def exp(omega: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> quarter_turn = so.exp(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]]))
+    >>> quarter_turn = exp(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]]))
     >>> bool(np.allclose(quarter_turn, [[0, -1], [1, 0]]))
     True
     """
@@ -133,9 +100,7 @@ def cayley(omega: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> bool(np.allclose(so.cayley(np.zeros((3, 3))), np.eye(3)))
+    >>> bool(np.allclose(cayley(np.zeros((3, 3))), np.eye(3)))
     True
     """
     identity = np.eye(omega.shape[-1])
@@ -143,7 +108,7 @@ def cayley(omega: np.ndarray) -> np.ndarray:
 
 
 def log(r: np.ndarray) -> np.ndarray:
-    r"""Principal logarithm of rotations: the skew-symmetric Ω with eigen-angles in [-π, π] and exp Ω = R.
+    r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
     The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
     :math:`f(S)\,K` with f(cos θ) = θ / sin θ, from one symmetric eigenproblem for the whole batch. Near θ = π, where f
@@ -151,34 +116,22 @@ def log(r: np.ndarray) -> np.ndarray:
     real Schur form. At an eigen-angle of exactly π (the cut locus) the logarithm is not unique; one of the shortest is
     returned.
 
-    Parameters
-    ----------
-    r
-        Rotations (..., n, n).
-
-    Returns
-    -------
-    ndarray
-        Skew-symmetric (..., n, n).
-
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> so.log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
+    >>> log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
     array([[ 0.    , -1.5708],
            [ 1.5708,  0.    ]])
     """
     r = np.asarray(r, dtype=float)
     n = r.shape[-1]
     flat = r.reshape(-1, n, n)
-    turning = skew(flat)
+    skewed = skew(flat)
     cosine, v = np.linalg.eigh(sym(flat))
-    turned = turning @ v
-    sine = np.sqrt((turned**2).sum(axis=-2))  # (B, n)
+    moved = skewed @ v
+    sine = np.sqrt((moved**2).sum(axis=-2))  # (B, n)
     angle = np.arctan2(sine, cosine)
     ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
-    rough = (v * ratio[:, None, :]) @ transpose(turned)  # -f(S) K
+    rough = (v * ratio[:, None, :]) @ transpose(moved)  # -f(S) K
     omega = skew(-rough)
     trusted = (np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE) & (
         angle.max(axis=-1, initial=0) < _MOST
@@ -211,23 +164,12 @@ def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     r"""Geodesic distance :math:`\lVert\log(A^\top B)\rVert_F` between rotations, without forming the logarithm.
 
     The squared singular values of A - B are :math:`4\sin^2(\theta/2)`. Random rotations of SO(20) are about 8 apart;
-    the diameter is :math:`\pi\sqrt{2\lfloor n/2\rfloor}`.
-
-    Parameters
-    ----------
-    a, b
-        Rotations (..., n, n), broadcast against each other.
-
-    Returns
-    -------
-    ndarray
-        (...), radians in the Frobenius convention (√2 times the geomstats distance).
+    the diameter is :math:`\pi\sqrt{2\lfloor n/2\rfloor}`. Rotations (..., n, n) are broadcast against each other; the
+    distances (...) are in radians in the Frobenius convention, √2 times those of geomstats.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> float(so.dist(np.eye(2), np.array([[0.0, -1.0], [1.0, 0.0]])) / np.sqrt(2))
+    >>> float(dist(np.eye(2), np.array([[0.0, -1.0], [1.0, 0.0]])) / np.sqrt(2))
     1.5707963267948966
     """
     difference = np.asarray(a) - b
@@ -241,8 +183,7 @@ def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.rando
 
     Examples
     --------
-    >>> from fmsync import so
-    >>> so.random_uniform(4, 2, rng=0).shape
+    >>> random_uniform(4, 2, rng=0).shape
     (2, 4, 4)
     """
     shape = tuple(size) if isinstance(size, Iterable) else (size,)
@@ -264,33 +205,17 @@ def frechet_mean(
         ``"chordal"``: :math:`\lVert A-B\rVert_F`, in closed form the projection of the arithmetic mean.
         ``"geodesic"``: by the fixed point :math:`M \leftarrow M\exp(\overline{\log(M^\top R_k)})`, started at the
         chordal mean; unique when all rotations lie within π/2 (operator norm) of it.
-    tolerance
-        The fixed point stops when the mean logarithm is shorter.
-    max_iterations
-        Steps of the fixed point, at most.
-
-    Returns
-    -------
-    ndarray
-        (..., n, n).
-
-    Raises
-    ------
-    ValueError
-        Unknown distance, or no rotations.
-    RuntimeError
-        The fixed point did not settle: the rotations are too far apart for a mean to be trusted.
+    tolerance, max_iterations
+        The fixed point stops when the mean logarithm is shorter; a RuntimeError when it does not in so many steps,
+        because the rotations are too far apart for a mean to be trusted.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from fmsync import so
-    >>> turn = so.exp(np.array([[0.0, -0.3], [0.3, 0.0]]))
-    >>> bool(np.allclose(so.frechet_mean(np.stack([turn, turn.T])), np.eye(2)))
+    >>> turn = exp(np.array([[0.0, -0.3], [0.3, 0.0]]))
+    >>> bool(np.allclose(frechet_mean(np.stack([turn, turn.T])), np.eye(2)))
     True
     """
-    if distance not in ("chordal", "geodesic"):
-        raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
+    checks.one_of("distance", distance, ("chordal", "geodesic"))
     if len(rotations) == 0:
         raise ValueError("rotations: need at least one to take a mean of")
     mean = project(np.mean(rotations, axis=0))
@@ -302,6 +227,6 @@ def frechet_mean(
         if np.sqrt((step**2).sum((-2, -1))).max() < tolerance:
             return project(mean)  # takes off the rounding of many products
     raise RuntimeError(
-        f"frechet_mean: the geodesic fixed point did not settle in {max_iterations} iterations; the rotations are too "
-        "spread for a unique mean, use distance='chordal'"
+        f"frechet_mean: the geodesic fixed point did not converge in {max_iterations} iterations; the rotations are "
+        "too spread for a unique mean, use distance='chordal'"
     )

@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.functional_maps import nearest_rows
 from fmsync.shape import Basis
 
 
 def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
-    r"""Images on shape j of one vertex of shape i under every draw of C_ij.
+    r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
 
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
 
@@ -20,16 +21,6 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     vertex
         Vertex of shape i.
 
-    Returns
-    -------
-    ndarray
-        (K,) vertices of shape j.
-
-    Raises
-    ------
-    ValueError
-        Draws that do not fit the bases, or a vertex outside shape i.
-
     Examples
     --------
     >>> import numpy as np, fmsync
@@ -41,8 +32,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     relative_draws = np.asarray(relative_draws, dtype=float)
     if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
         raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
-    if not 0 <= vertex < basis_i.n_vertices:
-        raise ValueError(f"vertex: {vertex} is outside the vertices 0..{basis_i.n_vertices - 1} of shape i")
+    checks.indices("vertex", [vertex], basis_i.n_vertices)
     return nearest_rows(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
 
 
@@ -51,12 +41,7 @@ def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
 
     Examples
     --------
-    >>> from fmsync import uncertainty
-    >>> uncertainty.image_density([2, 0, 2], 4)
+    >>> image_density([2, 0, 2], 4)
     array([1, 0, 2, 0])
     """
-    images = np.asarray(images)
-    bad = np.flatnonzero((images < 0) | (images >= n_vertices))
-    if bad.size:
-        raise ValueError(f"images[{bad[0]}] = {images[bad[0]]} is outside the vertices 0..{n_vertices - 1}")
-    return np.bincount(images, minlength=n_vertices)
+    return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

@@ -53,7 +53,7 @@ def test_the_langevin_floor_is_met_on_one_edge():
     """Large κ: the tangent coordinates of the noise are nearly normal with variance 1/κ each."""
     n, kappa = 6, 1e3
     np.testing.assert_allclose(bounds.langevin_error_bound(2, [[0, 1]], n, kappa), 15 / kappa, rtol=0.01)
-    with pytest.raises(ValueError, match="kappa: the concentration of the observations must be > 0, got 0"):
+    with pytest.raises(ValueError, match="kappa: must be finite and > 0, got 0"):
         bounds.langevin_error_bound(2, [[0, 1]], n, 0)
 
 

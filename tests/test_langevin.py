@@ -82,7 +82,7 @@ def test_the_papers_noise_has_the_matched_concentrations():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(ValueError, match="n: rotations have a whole size n >= 2, got 1"):
+    with pytest.raises(ValueError, match="n: an integer >= 2, got 1"):
         langevin.log_normaliser(1, 1.0)
     with pytest.raises(ValueError, match=r"kappa: concentrations lie in \[0, 100000\], got -1"):
         langevin.mean_cosine(3, [1.0, -1.0])

@@ -53,7 +53,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("n_nodes", "edges", "maps", "words"),
         [
-            (1, [[0, 0]], eyes[:1], "at least two"),
+            (1, [[0, 0]], eyes[:1], "n_nodes: an integer >= 2"),
             (4, [[0, 1], [2, 3], [0, 1]], eyes, r"2 components \(0, 1; 2, 3\)"),
             (3, [[0, 1], [1, 1], [1, 2]], eyes, r"edge 1 \(1, 1\) is a self-loop"),
             (3, [[0, 1], [1, 3], [1, 2]], eyes, r"edge 1 \(1, 3\) is out of range"),

@@ -38,7 +38,7 @@ def test_bad_input_is_named():
     b = basis(10, n=4)
     with pytest.raises(ValueError, match=r"expected \(K, 4, 4\)"):
         uncertainty.vertex_images(np.eye(4), b, b, 0)
-    with pytest.raises(ValueError, match="vertex: 10"):
+    with pytest.raises(ValueError, match=r"vertex\[0\] = 10"):
         uncertainty.vertex_images(np.eye(4)[None], b, b, 10)
     with pytest.raises(ValueError, match=r"images\[1\] = 9"):
         uncertainty.image_density([0, 9], 5)

@@ -24,7 +24,7 @@ from fmsync.samplers.base import SAMPLERS
 
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
 
-_NOT_OPTIONS = {"problem", "rng", "callback", "start", "self", "method", "options", "kwargs"}
+_NOT_OPTIONS = {"problem", "target", "rng", "callback", "start", "self", "method", "options", "kwargs"}
 _REGISTRY: dict[str, "Method"] = {}
 
 

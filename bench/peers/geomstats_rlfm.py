@@ -8,57 +8,52 @@ import os
 import numpy as np
 
 from fmsync.energy import energy
-from fmsync.problem import LangevinPrior, SyncProblem
-from fmsync.samplers import concentration, sampler
+from fmsync.samplers import Sampler, Target, sampler
 from fmsync.samplers.rlfm import default_step
 
 
 @sampler("rlfm-geomstats")
-class GeomstatsRLFM:
+class GeomstatsRLFM(Sampler):
     """The constrained Euclidean chain of ``"rlfm"`` with geodesic steps; no prior.
 
     Parameters
     ----------
-    problem, start, rng, prior, step, kappa, beta
+    target, start, rng, step
         As for ``"rlfm"``; a prior is refused.
     """
 
-    def __init__(
-        self,
-        problem: SyncProblem,
-        start: np.ndarray,
-        rng: np.random.Generator,
-        prior: LangevinPrior | None = None,
-        *,
-        step: float | None = None,
-        kappa: float | None = None,
-        beta: float | None = None,
-    ):
-        if prior is not None:
+    def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, step: float | None = None):
+        target.only("rlfm-geomstats", likelihood="langevin", energy="euclidean")
+        if target.prior is not None:
             raise ValueError("prior: 'rlfm-geomstats' takes none; use 'rlfm'")
         os.environ.setdefault("GEOMSTATS_BACKEND", "numpy")
         from geomstats.geometry.special_orthogonal import SpecialOrthogonal
 
-        self._space = SpecialOrthogonal(n=problem.n, equip=False)
-        self._problem, self._rng, self._age = problem, rng, 0
-        self.state = start.copy()
-        self.kappa = np.full(len(start), concentration(kappa, beta))
+        self._problem, self._rng, self._age = target.problem, rng, 0
+        self._space = SpecialOrthogonal(n=self._problem.n, equip=False)
+        self._c = start.copy()
+        self.kappa = np.full(len(start), target.fixed_kappa())
         self._beta = self.kappa[0] / 2
-        self._step = default_step(problem, self.kappa[0]) if step is None else step
-        self.ceiling, self.advice = np.full(len(start), np.inf), "shorten the step"
-        self.settings = {"step": self._step, "beta": self._beta}
+        self._step = default_step(self._problem, self.kappa[0]) if step is None else step
+        self.advice = "shorten the step"
 
-    def draw(self) -> np.ndarray:
+    @property
+    def settings(self) -> dict[str, float]:
+        """The step and β."""
+        return {"step": self._step, "beta": self._beta}
+
+    @property
+    def state(self) -> np.ndarray:
         """(K, N, n, n) rotations."""
-        return self.state
+        return self._c
 
     def energy(self) -> np.ndarray:
         """(K,) Euclidean energy."""
-        return energy(self._problem, self.state)
+        return energy(self._problem, self._c)
 
-    def step(self, warming: bool) -> None:
+    def step(self, warmup: bool) -> None:
         """One step: ambient gradient, projection to the tangent space and exponential map."""
-        c = self.state
+        c = self._c
         gradient = np.zeros(c.shape)
         for (i, j), observed, weight in zip(self._problem.edges, self._problem.maps, self._problem.weights):
             gradient[:, i] -= 2 * weight * c[:, j] @ observed.T
@@ -71,4 +66,4 @@ class GeomstatsRLFM:
         self._age += 1
         if self._age % 100 == 0:  # without it rounding grows until the exponential overflows
             moved = self._space.projection(moved)
-        self.state = moved.reshape(c.shape)
+        self._c = moved.reshape(c.shape)

@@ -12,7 +12,7 @@ from pymanopt.optimizers import TrustRegions
 
 from fmsync.energy import neighbour_sums
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
-from fmsync.estimators.recorder import Recorder
+from fmsync.estimators.base import Recorder
 from fmsync.problem import SyncProblem
 
 
@@ -58,7 +58,6 @@ def mle_pymanopt(
         problem,
         result.point,
         "mle-pymanopt",
-        n_iterations=len(trace.cost) - 1,
         converged=norm <= tolerance,
         trace=trace,
     )

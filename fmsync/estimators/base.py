@@ -1,13 +1,14 @@
-"""What every estimator has in common: the estimate, its trace, and the registry of names."""
+"""What every estimator has in common: the estimate, its trace, the groups, and the registry of names."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from fmsync import so
 from fmsync.energy import energy
-from fmsync.estimators.groups import nearest
 from fmsync.problem import SyncProblem, fix_gauge, relative_maps
 from fmsync.registry import Registry
 
@@ -15,6 +16,22 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 
 #: Estimators by name.
 ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
+
+
+#: What estimates may be: rotations, or all orthogonal matrices.
+GROUPS = ("SO", "O")
+_ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back to machine precision
+
+
+def nearest(a: np.ndarray, group: str) -> np.ndarray:
+    """Nearest member of the group to every (..., n, n): for "O" the polar factor, whatever its determinant."""
+    rest = so.transpose(a) @ a - np.eye(a.shape[-1])
+    if np.abs(rest).max(initial=0) < _ROUNDING and (group == "O" or (np.linalg.det(a) > 0).all()):
+        return a - a @ rest / 2
+    if group == "SO":
+        return so.project(a)
+    u, _, vt = np.linalg.svd(a)
+    return u @ vt
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +49,33 @@ class Trace:
     seconds: np.ndarray
 
 
+class Recorder:
+    """Makes a trace of the points it is called with, and tells a callback of each; asked twice about one, it waits."""
+
+    def __init__(self, callback: Callback | None):
+        self._callback, self._began = callback, time.perf_counter()
+        self._history: list[tuple[float, float, float]] = []
+        self._last: np.ndarray | None = None
+
+    def __call__(self, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
+        if absolute is self._last:
+            return
+        self._last = absolute
+        self._history.append((float(cost), float(gradient_norm), time.perf_counter() - self._began))
+        if self._callback is not None:
+            self._callback(len(self._history) - 1, absolute, float(cost), float(gradient_norm))
+
+    def __len__(self) -> int:
+        return len(self._history)
+
+    def trace(self) -> Trace:
+        """The history so far, (K + 1,) each; empty when the optimiser could not be watched."""
+        return Trace(*np.array(self._history).reshape(-1, 3).T)
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A point answer.
+    """A point estimate.
 
     Attributes
     ----------
@@ -44,8 +85,8 @@ class Estimate:
         (N, n, n) absolute maps in the gauge C_1 = I (or in the gauge of the prior).
     cost
         The estimator's own cost at ``absolute``.
-    n_iterations, converged
-        Accepted steps of the optimiser (0 for direct methods) and whether its tolerance was met.
+    converged
+        Whether the tolerance of the optimiser was met.
     trace
         :class:`~fmsync.estimators.Trace`, or None for direct methods.
     on_group
@@ -53,20 +94,24 @@ class Estimate:
     n_starts, n_agreeing
         With ``restarts=k``: how many starts were made, and how many of them came to this cost.
     edge_weights
-        (E,) in [0, 1]: how far ``"robust"`` believed each edge; None for the others.
+        (E,) in [0, 1]: the inlier weight that ``"robust"`` gave each edge; None for the others.
     """
 
     problem: SyncProblem
     method: str
     absolute: np.ndarray
     cost: float
-    n_iterations: int = 0
     converged: bool = True
     trace: Trace | None = None
     on_group: bool = True
     n_starts: int = 1
     n_agreeing: int = 1
     edge_weights: np.ndarray | None = None
+
+    @property
+    def n_iterations(self) -> int:
+        """Accepted steps of the optimiser, 0 for direct methods."""
+        return 0 if self.trace is None else len(self.trace.cost) - 1
 
     @classmethod
     def from_absolute(

@@ -45,24 +45,10 @@ def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificat
     :math:`U_E(C) - U_E^\star \le n N \max(0, -\lambda_{\min}(Q))`: orthogonal maps X with the same block sizes have
     :math:`U_E(C) - U_E(X) = -\operatorname{tr}(X^\top Q X)` (Bandeira, Boumal & Singer 2017; Rosen et al. 2019).
 
-    Parameters
-    ----------
-    problem
-        N nodes with maps (n, n).
-    estimate
-        An estimate on the group, or orthogonal maps (N, n, n).
-
-    Returns
-    -------
-    Certificate
-        ``certified`` when :math:`\lambda_{\min}(D^{-1/2} Q D^{-1/2}) \ge -10^{-8}`, D the degrees, and the gap bound is
-        at most :math:`10^{-6}\,U_E + 100\,\varepsilon\, n N d_{\max}`. A tolerance relative to the largest degree alone
-        would certify local minima of graphs whose weights differ much.
-
-    Raises
-    ------
-    ValueError
-        The estimate is off the group, or its shape is not the problem's.
+    For an estimate on the group, or orthogonal maps (N, n, n). ``certified`` when
+    :math:`\lambda_{\min}(D^{-1/2} Q D^{-1/2}) \ge -10^{-8}`, D the degrees, and the gap bound is at most
+    :math:`10^{-6}\,U_E + 100\,\varepsilon\, n N d_{\max}`: a tolerance relative to the largest degree alone
+    would certify local minima of graphs whose weights differ much.
 
     Examples
     --------

@@ -3,8 +3,7 @@
 import numpy as np
 
 from fmsync.estimators.base import Callback, Estimate, estimator
-from fmsync.estimators.starts import starting_point
-from fmsync.estimators.trust_region import Rotations, minimise
+from fmsync.estimators.mle import mle
 from fmsync.problem import LangevinPrior, SyncProblem, anchored, fix_gauge
 
 
@@ -26,13 +25,11 @@ def maximum_a_posteriori(
 
     Parameters
     ----------
-    problem
-        Observed maps.
     kappa
         Concentration of the observations, against which the prior's is weighed; 2 is the paper's β = 1.
     prior
-        :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not turned to C_1 = I.
-    tolerance, max_iterations
+        :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not brought to C_1 = I.
+    problem, tolerance, max_iterations
         As in ``"mle"``.
 
     Returns
@@ -50,12 +47,8 @@ def maximum_a_posteriori(
     True
     """  # noqa: E501
     whole = problem if prior is None else anchored(problem, prior, kappa)
-    start = starting_point(whole, "spectral", rng)
-    absolute, converged, trace = minimise(
-        Rotations(whole), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
-    )
-    whole_estimate = Estimate.from_absolute(whole, absolute, "map")
-    absolute = whole_estimate.absolute
+    found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)
+    absolute = found.absolute
     if prior is not None:
         absolute = fix_gauge(absolute, problem.n_nodes)[: problem.n_nodes]
-    return Estimate(problem, "map", absolute, whole_estimate.cost, len(trace.cost) - 1, converged, trace)
+    return Estimate(problem, "map", absolute, found.cost, found.converged, found.trace)

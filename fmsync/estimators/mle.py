@@ -25,10 +25,8 @@ def mle(
 
     Parameters
     ----------
-    problem
-        Observed maps.
-    rng
-        Used by the start.
+    problem, rng
+        Observed maps, and what a random start is drawn from.
     init
         ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a problem
         that had only the first few of these nodes: after a change this saves the spectral start.
@@ -39,11 +37,6 @@ def mle(
         Norm of the Riemannian gradient of U_E at which to stop.
     max_iterations
         Trust-region steps, rejected ones included.
-
-    Returns
-    -------
-    Estimate
-        With a trace; ``converged`` says whether the tolerance was met.
 
     Examples
     --------
@@ -56,6 +49,4 @@ def mle(
     absolute, converged, trace = minimise(
         Rotations(problem), start, tolerance=tolerance, max_iterations=max_iterations, callback=callback
     )
-    return Estimate.from_absolute(
-        problem, absolute, "mle", group, n_iterations=len(trace.cost) - 1, converged=converged, trace=trace
-    )
+    return Estimate.from_absolute(problem, absolute, "mle", group, converged=converged, trace=trace)

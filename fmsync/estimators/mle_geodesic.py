@@ -1,14 +1,12 @@
 """Least squares of geodesic distances: the maximum likelihood estimate under the paper's Riemannian Gaussian."""
 
-import time
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from fmsync import so
-from fmsync.estimators.base import Callback, Estimate, Trace, estimator
+from fmsync.bounds import grounded_laplacian
+from fmsync.estimators.base import Callback, Estimate, Recorder, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.problem import SyncProblem, relative_maps
 from fmsync.so import transpose
@@ -16,7 +14,7 @@ from fmsync.so import transpose
 Pairs = list[tuple[np.ndarray, np.ndarray]]  # steps, and the changes of the gradient along them
 
 _MEMORY = 10  # pairs of the quasi-Newton model
-_SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+_SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 
 
 @estimator("mle-geodesic")
@@ -38,23 +36,8 @@ def mle_geodesic(
     that no minimum lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which
     would have negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
 
-    Parameters
-    ----------
-    problem
-        Observed rotations; maps off SO(n) are projected to it first.
-    rng
-        Used by the start.
-    init
-        As in ``"mle"``.
-    tolerance
-        Norm of the Riemannian gradient of U_R at which to stop.
-    max_iterations
-        Quasi-Newton steps, at most.
-
-    Returns
-    -------
-    Estimate
-        ``cost`` is the geodesic energy U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
+    Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
+    U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
 
     Examples
     --------
@@ -64,21 +47,27 @@ def mle_geodesic(
     True
     """
     observed = so.project(problem.maps)
-    metric = _laplacian_inverse(problem)
     absolute = starting_point(problem, init, rng)
-    began = time.perf_counter()
+    recorder = Recorder(callback)
+    absolute, cost, norm = _minimise(problem, observed, absolute, recorder, tolerance, max_iterations)
+    converged, trace = norm <= tolerance, recorder.trace()
+    return Estimate.from_absolute(problem, absolute, "mle-geodesic", cost=cost, converged=converged, trace=trace)
+
+
+def _minimise(
+    problem: SyncProblem,
+    observed: np.ndarray,
+    absolute: np.ndarray,
+    recorder: Recorder,
+    tolerance: float,
+    max_iterations: int,
+) -> tuple[np.ndarray, float, float]:
+    """Rotations, their cost and the norm of its gradient."""
+    metric = _laplacian_inverse(problem)
     cost, gradient = _evaluate(problem, observed, absolute)
-    history: list[tuple[float, float, float]] = []
-    pairs: Pairs = []
-
-    def record() -> float:
-        norm = float(np.linalg.norm(gradient))
-        history.append((cost, norm, time.perf_counter() - began))
-        callback(len(history) - 1, absolute, cost, norm)
-        return norm
-
-    norm = record()
-    while norm > tolerance and len(history) <= max_iterations:
+    norm, pairs = float(np.linalg.norm(gradient)), Pairs()
+    recorder(absolute, cost, norm)
+    while norm > tolerance and len(recorder) <= max_iterations:
         direction = -_two_loop(gradient, pairs, metric)
         slope = np.vdot(gradient, direction)
         if slope >= 0:  # the memory has gone stale across the cut locus
@@ -96,17 +85,9 @@ def mle_geodesic(
         gradient = new_gradient
         if np.vdot(step, change) > 1e-10 * np.linalg.norm(step) * np.linalg.norm(change):
             pairs = [*pairs[-_MEMORY + 1 :], (step, change)]
-        norm = record()
-    trace = Trace(*(np.array(column) for column in zip(*history)))
-    return Estimate.from_absolute(
-        problem,
-        absolute,
-        "mle-geodesic",
-        cost=cost,
-        n_iterations=len(history) - 1,
-        converged=norm <= tolerance,
-        trace=trace,
-    )
+        norm = float(np.linalg.norm(gradient))
+        recorder(absolute, cost, norm)
+    return absolute, cost, norm
 
 
 def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) -> tuple[float, np.ndarray]:
@@ -123,15 +104,11 @@ def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) 
 
 def _laplacian_inverse(problem: SyncProblem) -> Callable[[np.ndarray], np.ndarray]:
     """The inverse of twice the scalar graph Laplacian, applied to every entry of (N, n, n); node 1 is held."""
-    n_nodes, (i, j) = problem.n_nodes, problem.edges.T
-    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
-    adjacency = sp.csc_matrix((np.tile(problem.weights, 2), ends), shape=(n_nodes, n_nodes))
-    laplacian = (sp.diags(problem.degrees) - adjacency).tocsc()[1:, 1:]
-    factor = splu(laplacian.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    factor = grounded_laplacian(problem)
 
     def apply(gradient: np.ndarray) -> np.ndarray:
         solution = np.zeros_like(gradient)
-        solution[1:] = factor.solve(gradient[1:].reshape(n_nodes - 1, -1)).reshape(solution[1:].shape) / 2
+        solution[1:] = factor.solve(gradient[1:].reshape(len(gradient) - 1, -1)).reshape(solution[1:].shape) / 2
         return solution
 
     return apply
@@ -139,14 +116,14 @@ def _laplacian_inverse(problem: SyncProblem) -> Callable[[np.ndarray], np.ndarra
 
 def _two_loop(gradient: np.ndarray, pairs: Pairs, metric: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """The inverse quasi-Newton matrix times the gradient (Nocedal & Wright, algorithm 7.4)."""
-    q, shares = gradient.copy(), []
+    q, alphas = gradient.copy(), []
     for step, change in reversed(pairs):
-        share = np.vdot(step, q) / np.vdot(step, change)
-        q -= share * change
-        shares.append(share)
+        alpha = np.vdot(step, q) / np.vdot(step, change)
+        q -= alpha * change
+        alphas.append(alpha)
     result = metric(q)
-    for (step, change), share in zip(pairs, reversed(shares)):
-        result += (share - np.vdot(change, result) / np.vdot(step, change)) * step
+    for (step, change), alpha in zip(pairs, reversed(alphas)):
+        result += (alpha - np.vdot(change, result) / np.vdot(step, change)) * step
     return result
 
 

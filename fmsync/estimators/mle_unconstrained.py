@@ -4,9 +4,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from fmsync.energy import neighbour_sums, unconstrained_energy
-from fmsync.estimators.base import Callback, Estimate, Trace, estimator
-from fmsync.estimators.recorder import Recorder
+from fmsync import checks
+from fmsync.energy import gram_blocks, neighbour_sums, unconstrained_energy
+from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.problem import SyncProblem
 from fmsync.so import transpose
 
@@ -28,17 +28,11 @@ def mle_unconstrained(
 
     Parameters
     ----------
-    problem
-        Observed maps.
-    rng
-        Draws the start of the iteration.
     solver
         ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
         random start, to watch a convergence.
-    tolerance
-        For ``"iterative"``: norm of the gradient at which to stop.
-    max_iterations
-        For ``"iterative"``: steps of conjugate gradients, at most.
+    tolerance, max_iterations
+        For ``"iterative"``: norm of the gradient at which to stop, and steps at most.
 
     Returns
     -------
@@ -52,38 +46,28 @@ def mle_unconstrained(
     >>> bool(np.allclose(fmsync.solve(p, "mle-unconstrained").absolute, np.eye(4)))
     True
     """
-    if solver not in ("exact", "iterative"):
-        raise ValueError(f"solver: 'exact' or 'iterative', not {solver!r}")
+    checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":
         absolute = np.concatenate([np.eye(problem.n)[None], _exact(problem)])
         cost = float(unconstrained_energy(problem, absolute))
-        callback(0, absolute, cost, _gradient_norm(problem, absolute))
+        half_gradient = absolute @ gram_blocks(problem) - neighbour_sums(problem, absolute)
+        callback(0, absolute, cost, float(2 * np.linalg.norm(half_gradient[1:])))
         return Estimate(problem, "mle-unconstrained", absolute, cost, on_group=False)
     absolute, converged, trace = _conjugate_gradients(problem, rng, callback, tolerance, max_iterations)
     cost = float(unconstrained_energy(problem, absolute))
-    n_iterations = len(trace.cost) - 1
-    return Estimate(problem, "mle-unconstrained", absolute, cost, n_iterations, converged, trace, on_group=False)
+    return Estimate(problem, "mle-unconstrained", absolute, cost, converged, trace, on_group=False)
 
 
 def precision(problem: SyncProblem) -> tuple[sp.csc_matrix, np.ndarray]:
     r"""The quadratic form of the gauged energy: :math:`\sum_r x_r^\top K x_r - 2\sum_r b_r^\top x_r + const`.
 
-    x_r stacks row r of C_2..C_N.
-
-    Returns
-    -------
-    K
-        Sparse ((N-1) n, (N-1) n), positive definite on a connected graph with invertible maps.
-    b
-        ((N-1) n, n), one column for each row r.
+    x_r stacks row r of C_2..C_N. Returns K, sparse ((N-1) n, (N-1) n), positive definite on a connected graph with
+    invertible maps, and b ((N-1) n, n), one column for each row r.
     """
     n_nodes, n = problem.n_nodes, problem.n
     weighted = problem.weights[:, None, None] * problem.maps
-    diagonal = np.zeros((n_nodes, n, n))
-    np.add.at(diagonal, problem.edges[:, 0], weighted @ transpose(problem.maps))  # from ‖C_i C_ij‖²
-    np.add.at(diagonal, problem.edges[:, 1], problem.weights[:, None, None] * np.eye(n))  # from ‖C_j‖²
     i, j = problem.edges.T
-    blocks = np.concatenate([diagonal, -weighted, -transpose(weighted)])
+    blocks = np.concatenate([gram_blocks(problem), -weighted, -transpose(weighted)])
     rows, columns = np.concatenate([np.arange(n_nodes), i, j]), np.concatenate([np.arange(n_nodes), j, i])
     a, b = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     entry_rows = (n * rows[:, None, None] + a).ravel()
@@ -99,38 +83,25 @@ def _exact(problem: SyncProblem) -> np.ndarray:
     return transpose(factor.solve(b).reshape(problem.n_nodes - 1, problem.n, problem.n))
 
 
-def _half_gradient(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
-    """Half the gradient of the unconstrained energy, (N, n, n)."""
-    i, j = problem.edges.T
-    gram = np.zeros(absolute.shape)
-    np.add.at(gram, i, problem.weights[:, None, None] * (problem.maps @ transpose(problem.maps)))
-    np.add.at(gram, j, problem.weights[:, None, None] * np.eye(problem.n))
-    return absolute @ gram - neighbour_sums(problem, absolute)
-
-
-def _gradient_norm(problem: SyncProblem, absolute: np.ndarray) -> float:
-    return float(2 * np.linalg.norm(_half_gradient(problem, absolute)[1:]))
-
-
 def _conjugate_gradients(
     problem: SyncProblem, rng: np.random.Generator, callback: Callback, tolerance: float, max_iterations: int
 ) -> tuple[np.ndarray, bool, Trace]:
-    n_nodes, n = problem.n_nodes, problem.n
+    n_nodes, n, gram = problem.n_nodes, problem.n, gram_blocks(problem)
     recorder = Recorder(callback)
     absolute = rng.standard_normal((n_nodes, n, n)) / np.sqrt(n)
     absolute[0] = np.eye(n)
 
-    def apply(direction: np.ndarray) -> np.ndarray:  # K on C_2..C_N
-        return _half_gradient(problem, np.concatenate([np.zeros((1, n, n)), direction]))[1:]
+    def half_gradient(c: np.ndarray) -> np.ndarray:  # (N-1, n, n): it is linear in C_1..C_N
+        return (c @ gram - neighbour_sums(problem, c))[1:]
 
-    residual = -_half_gradient(problem, absolute)[1:]
+    residual = -half_gradient(absolute)
     direction, slope = residual, np.vdot(residual, residual)
     for iteration in range(max_iterations + 1):
         norm = 2 * np.sqrt(slope)
         recorder(absolute, float(unconstrained_energy(problem, absolute)), norm)
         if norm <= tolerance or iteration == max_iterations:
             break
-        curved = apply(direction)
+        curved = half_gradient(np.concatenate([np.zeros((1, n, n)), direction]))
         length = slope / np.vdot(direction, curved)
         absolute = np.concatenate([absolute[:1], absolute[1:] + length * direction])
         residual = residual - length * curved

@@ -10,7 +10,7 @@ Inside, blocks are padded with zero columns to a common width, so that everythin
 
 import itertools
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
-from fmsync.estimators.base import Callback, Trace
+from fmsync import checks
+from fmsync.estimators.base import Trace
 from fmsync.estimators.trust_region import Point, minimise
-from fmsync.problem import validated_edges
 from fmsync.so import sym, transpose
 from fmsync.threads import single_threaded_blas
 
@@ -44,12 +44,6 @@ class RectangularSyncProblem:
     weights
         (E,) positive; ones by default.
 
-    Raises
-    ------
-    ValueError
-        Naming the edge: sizes that disagree, maps that are not finite or not matrices, and whatever
-        :class:`fmsync.SyncProblem` refuses.
-
     Examples
     --------
     >>> import numpy as np, fmsync
@@ -67,23 +61,19 @@ class RectangularSyncProblem:
     def __init__(
         self, n_nodes: int, edges: ArrayLike, maps: Iterable[ArrayLike], weights: ArrayLike | None = None
     ) -> None:
-        edges = validated_edges(n_nodes, edges)
+        edges = checks.connected_edges(n_nodes, edges)
         checked = tuple(np.array(observed, dtype=float) for observed in maps)
         if len(checked) != len(edges):
             raise ValueError(f"maps: {len(checked)} maps for {len(edges)} edges; give one map per edge")
-        weights = np.ones(len(edges)) if weights is None else np.array(weights, dtype=float)
-        if weights.shape != (len(edges),):
-            raise ValueError(f"weights: expected ({len(edges)},), got {weights.shape}")
+        weights = checks.edge_weights(weights, edges)
         sizes, first = np.zeros(n_nodes, dtype=np.int64), np.zeros(n_nodes, dtype=np.int64)
-        for e, ((i, j), observed, weight) in enumerate(zip(edges.tolist(), checked, weights)):
-            name = f"edge {e} ({i}, {j})"
+        for e, (ends, observed) in enumerate(zip(edges.tolist(), checked)):
+            name = checks.edge_name(edges, e)
             if observed.ndim != 2 or 0 in observed.shape:
                 raise ValueError(f"maps: {name} has shape {observed.shape}; expected a matrix (n_i, n_j)")
             if not np.isfinite(observed).all():
                 raise ValueError(f"maps: {name} holds NaN or infinity")
-            if not (weight > 0 and np.isfinite(weight)):
-                raise ValueError(f"weights: {name} has weight {weight}; must be > 0")
-            for node, size in zip((i, j), observed.shape):
+            for node, size in zip(ends, observed.shape):
                 if sizes[node] == 0:
                     sizes[node], first[node] = size, e
                 elif sizes[node] != size:
@@ -115,12 +105,11 @@ class RectangularSyncProblem:
 
 @dataclass(frozen=True, eq=False)
 class RectangularEstimate:
-    """A point answer: ``absolute`` holds N arrays (m, n_i) with orthonormal columns, the first of them [I; 0]."""
+    """A point estimate: ``absolute`` holds N arrays (m, n_i) with orthonormal columns, the first of them [I; 0]."""
 
     problem: RectangularSyncProblem
     absolute: tuple[np.ndarray, ...]
     cost: float
-    n_iterations: int
     converged: bool
     trace: Trace
 
@@ -134,9 +123,8 @@ def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,
     *,
-    init: str | Sequence[np.ndarray] = "spectral",
+    init: str = "spectral",
     rng: int | np.random.Generator = 0,
-    callback: Callback | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 500,
 ) -> RectangularEstimate:
@@ -152,27 +140,11 @@ def solve_rectangular(
     universe
         m; the largest n_i by default, which presumes that one shape sees everything.
     init
-        ``"spectral"``, ``"random"``, or N arrays (m, n_i) with orthonormal columns.
+        ``"spectral"`` or ``"random"``.
     rng
         Seed or generator of the start.
-    callback
-        As in :func:`fmsync.solve`; absolute maps come padded with zero columns, (N, m, max n_i).
     tolerance, max_iterations
-        As in ``"mle"``.
-
-    Returns
-    -------
-    RectangularEstimate
-
-    Warns
-    -----
-    RuntimeWarning
-        The tolerance was not met.
-
-    Raises
-    ------
-    ValueError
-        A universe smaller than a shape, an unknown or ill-shaped start.
+        As in ``"mle"``; a RuntimeWarning tells that the tolerance was not met.
 
     Examples
     --------
@@ -190,19 +162,13 @@ def solve_rectangular(
     with single_threaded_blas():
         model = Frames(problem, m)
         start = _starting_frames(problem, m, init, generator)
-        absolute, converged, trace = minimise(
-            model,
-            start,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            callback=callback or (lambda *_: None),
-        )
+        absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
     gauge = _basis(absolute[0][:, : problem.sizes[0]])
     frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
-    return RectangularEstimate(problem, frames, float(trace.cost[-1]), len(trace.cost) - 1, converged, trace)
+    return RectangularEstimate(problem, frames, float(trace.cost[-1]), converged, trace)
 
 
 class Frames:
@@ -258,30 +224,15 @@ class Frames:
         return total
 
 
-def _starting_frames(
-    problem: RectangularSyncProblem, m: int, init: str | Sequence[np.ndarray], rng: np.random.Generator
-) -> np.ndarray:
+def _starting_frames(problem: RectangularSyncProblem, m: int, init: str, rng: np.random.Generator) -> np.ndarray:
     """Orthonormal columns (N, m, k), zero past n_i."""
-    k = int(problem.sizes.max())
-    start = np.zeros((problem.n_nodes, m, k))
-    if isinstance(init, str):
-        if init not in ("spectral", "random"):
-            raise ValueError(f"init: 'spectral', 'random' or one frame per node, not {init!r}")
-        rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
-        for node, size in enumerate(problem.sizes):
-            block = rng.standard_normal((m, size)) if rows is None else rows[node].T
-            u, _, vt = np.linalg.svd(block, full_matrices=False)
-            start[node, :, :size] = u @ vt
-        return start
-    if len(init) != problem.n_nodes:
-        raise ValueError(f"init: {len(init)} frames for {problem.n_nodes} nodes")
-    for node, (size, frame) in enumerate(zip(problem.sizes, init)):
-        frame = np.asarray(frame, dtype=float)
-        if frame.shape != (m, size):
-            raise ValueError(f"init: node {node} needs a frame {(m, int(size))}, got {frame.shape}")
-        if not np.abs(frame.T @ frame - np.eye(size)).max() < 1e-6:
-            raise ValueError(f"init: the columns of node {node} are not orthonormal")
-        start[node, :, :size] = frame
+    checks.one_of("init", init, ("spectral", "random"))
+    rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
+    start = np.zeros((problem.n_nodes, m, int(problem.sizes.max())))
+    for node, size in enumerate(problem.sizes):
+        block = rng.standard_normal((m, size)) if rows is None else rows[node].T
+        u, _, vt = np.linalg.svd(block, full_matrices=False)
+        start[node, :, :size] = u @ vt
     return start
 
 

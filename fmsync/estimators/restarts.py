@@ -24,37 +24,13 @@ def mean_of_starts(
     All answers stand in the gauge C_1 = I before they are averaged: without it each start would bring a frame of its
     own and the mean would be noise.
 
-    Parameters
-    ----------
-    problem
-        Observed maps.
-    n_starts
-        10 in the paper.
-    method
-        An iterative method on :math:`SO(n)^N` with an ``init`` option.
-    rng
-        Seed or generator of the starts.
-    distance
-        Of the mean: ``"geodesic"`` or ``"chordal"`` (:func:`fmsync.so.frechet_mean`).
-    options
-        Passed to the method.
-
-    Returns
-    -------
-    mean
-        Estimate at the mean, its Euclidean energy as ``cost``.
-    starts
-        The single answers.
-
-    Raises
-    ------
-    RuntimeError
-        The starts ended too far apart for a geodesic mean (beyond the recovery threshold); use ``"chordal"``.
+    ``method`` is an iterative one on :math:`SO(n)^N` with an ``init`` option, and ``options`` go to it. Returns the
+    estimate at the mean (:func:`fmsync.so.frechet_mean`), its Euclidean energy as ``cost``, and the single answers. A
+    RuntimeError when they are too far apart for a geodesic mean (beyond the recovery threshold); use ``"chordal"``.
 
     Examples
     --------
     >>> import numpy as np, fmsync
-    >>> from fmsync.estimators.restarts import mean_of_starts
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     >>> mean, starts = mean_of_starts(p, 3, rng=0)
     >>> mean.cost < 1e-12, len(starts)

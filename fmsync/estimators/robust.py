@@ -1,21 +1,20 @@
 """Estimates that some wrong maps do not spoil: reweighted least squares and a mixture with outliers."""
 
 import copy
-import time
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from fmsync import langevin
+from fmsync import checks, langevin
 from fmsync.energy import gradient
-from fmsync.estimators.base import Callback, Estimate, Trace, estimator
+from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem, relative_maps
 
 LOSSES = ("mixture", "geman-mcclure", "l1")
-_FLOOR = 1e-9  # least share of its weight that an edge keeps, so that the graph stays connected
+_LEAST_WEIGHT = 1e-9  # least fraction of its weight that an edge keeps, so that the graph stays connected
 _LARGEST_KAPPA = 1e4  # clean maps would drive the concentration to infinity
 _SMOOTH = 1e-4  # per unit √n: residuals below it count as squares in the l1 loss, which has a kink at 0
 
@@ -50,11 +49,9 @@ def robust(
     ----------
     problem
         Observed maps, some of them wrong; fewer than half at every node, and not in a conspiracy.
-    rng
-        Used by the start.
     loss
         ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    init, group
+    rng, init, group
         As in ``"mle"``.
     tolerance
         Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
@@ -65,12 +62,7 @@ def robust(
     Returns
     -------
     Estimate
-        ``cost`` is the robust cost. ``edge_weights`` (E,) in [0, 1] says how far each edge was believed.
-
-    Raises
-    ------
-    ValueError
-        Unknown loss.
+        ``cost`` is the robust cost. ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
 
     Examples
     --------
@@ -81,8 +73,7 @@ def robust(
     >>> fmsync.solve(p, "robust").edge_weights.round(3)
     array([1., 1., 0., 1., 1., 1.])
     """
-    if loss not in LOSSES:
-        raise ValueError(f"loss: one of {', '.join(LOSSES)}, not {loss!r}")
+    checks.one_of("loss", loss, LOSSES)
     absolute = starting_point(problem, init, rng, group)
     rule: _Rule
     if loss == "l1":
@@ -93,17 +84,8 @@ def robust(
     absolute, cost, weights, converged, trace = _reweigh(
         problem, rule, absolute, callback=callback, tolerance=tolerance, max_iterations=max_iterations
     )
-    return Estimate.from_absolute(
-        problem,
-        absolute,
-        "robust",
-        group,
-        cost=cost,
-        n_iterations=len(trace.cost) - 1,
-        converged=converged,
-        trace=trace,
-        edge_weights=weights,
-    )
+    found = {"cost": cost, "converged": converged, "trace": trace, "edge_weights": weights}
+    return Estimate.from_absolute(problem, absolute, "robust", group, **found)
 
 
 def _reweigh(
@@ -115,26 +97,20 @@ def _reweigh(
     tolerance: float,
     max_iterations: int,
 ) -> tuple[np.ndarray, float, np.ndarray, bool, Trace]:
-    """Rounds of weights and weighted least squares: (rotations, cost, believed weights, converged, trace)."""
-    began = time.perf_counter()
-    history = []
+    """Rounds of weights and weighted least squares: (rotations, cost, inlier weights, converged, trace)."""
+    recorder = Recorder(callback)
     while True:
         squares = _squares(problem, absolute)
-        cost, believed = rule.update(squares)
-        scale = len(believed) / max(believed.sum(), 1e-300)
-        weighted = _weighted(problem, problem.weights * np.maximum(scale * believed, _FLOOR))
+        cost, inlier = rule.update(squares)
+        scale = len(inlier) / max(inlier.sum(), 1e-300)
+        weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
         norm = float(np.linalg.norm(gradient(weighted, absolute)))
-        history.append((cost, norm, time.perf_counter() - began))
-        if callback is not None:
-            callback(len(history) - 1, absolute, cost, norm)
-        if norm <= tolerance or len(history) > max_iterations:
+        recorder(absolute, cost, norm)
+        if norm <= tolerance or len(recorder) > max_iterations:
             break
         inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
-        absolute, _, _ = minimise(
-            Rotations(weighted), absolute, tolerance=inner, max_iterations=50, callback=lambda *_: None
-        )
-    trace = Trace(*(np.array(column) for column in zip(*history)))
-    return absolute, cost, np.clip(believed, 0, 1), norm <= tolerance, trace
+        absolute, _, _ = minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
+    return absolute, cost, np.clip(inlier, 0, 1), norm <= tolerance, recorder.trace()
 
 
 def _squares(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
@@ -154,7 +130,7 @@ def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
 
 class _Rule(Protocol):
     def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost of squared residuals (E,), and how far each edge is believed."""
+        """The cost of squared residuals (E,), and the inlier weight of each edge."""
         ...
 
 
@@ -181,23 +157,23 @@ class _GemanMcClure:
 
 @dataclass
 class _Mixture:
-    """Expectation–maximisation; every update first sets κ and ε to their best values for the last beliefs."""
+    """Expectation–maximisation; every update first sets κ and ε to their best for the last inlier weights."""
 
     problem: SyncProblem
     first: np.ndarray
 
     def __post_init__(self) -> None:
-        self._believed = (self.first <= 1.5**2 * np.median(self.first)).astype(float)
+        self._inlier = (self.first <= 1.5**2 * np.median(self.first)).astype(float)
         self._size = (self.problem.maps**2).sum((1, 2)) + self.problem.n  # r² = size - 2 tr
 
     def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
         n, weights = self.problem.n, self.problem.weights
         trace = (self._size - squares) / 2
-        believed = weights * self._believed
-        cosine = float(believed @ trace / believed.sum() / n)
+        kept = weights * self._inlier
+        cosine = float(kept @ trace / kept.sum() / n)
         kappa = langevin.matched_kappa(n, min(cosine, float(langevin.mean_cosine(n, _LARGEST_KAPPA))))
-        outliers = float(np.clip(1 - believed.sum() / weights.sum(), 1e-3, 1 - 1e-3))
+        outliers = float(np.clip(1 - kept.sum() / weights.sum(), 1e-3, 1 - 1e-3))
         inlier = np.log1p(-outliers) + kappa * trace - langevin.log_normaliser(n, kappa)
         total = np.logaddexp(inlier, np.log(outliers))
-        self._believed = np.exp(inlier - total)
-        return -float(weights @ total), self._believed
+        self._inlier = np.exp(inlier - total)
+        return -float(weights @ total), self._inlier

@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from fmsync import checks
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
-_FAR = 0.5  # distortion of a map above which its user is warned; a map with a quarter of its rank missing has it
+_FAR = (
+    0.5  # orthogonality error of a map above which its user is warned; a map with a quarter of its rank missing has it
+)
 
 
 def solve(
@@ -26,10 +29,8 @@ def solve(
 
     Parameters
     ----------
-    problem
-        What was observed.
-    method
-        A name of :func:`methods`.
+    problem, method
+        What was observed, and a name of :func:`methods`.
     rng
         Seed or generator: same seed, same answer.
     callback
@@ -41,21 +42,8 @@ def solve(
     options
         Passed to the estimator; an unknown option is refused with the list of known ones.
 
-    Returns
-    -------
-    Estimate
-
-    Warns
-    -----
-    RuntimeWarning
-        The method stopped before its tolerance was met; ``converged`` is then False.
-    UserWarning
-        Maps far from orthogonal met a method that answers with rotations; names the worst edge.
-
-    Raises
-    ------
-    ValueError
-        Unknown method or option.
+    Warns with a RuntimeWarning when the method stopped before its tolerance was met; ``converged`` is then False. Warns
+    with a UserWarning that names the worst edge when maps far from orthogonal met a method that answers with rotations.
 
     Examples
     --------
@@ -76,11 +64,11 @@ def solve(
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
-    worst = int(np.argmax(problem.distortion))
-    if estimate.on_group and problem.distortion[worst] > _FAR:
-        edge = tuple(problem.edges[worst].tolist())
+    worst = int(np.argmax(problem.orthogonality_error))
+    error = problem.orthogonality_error[worst]
+    if estimate.on_group and error > _FAR:
         message = (
-            f"maps: edge {worst} {edge} is far from orthogonal (‖CᵀC - I‖/√n = {problem.distortion[worst]:.2g}); "
+            f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
             "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
         )
         warnings.warn(message, UserWarning, stacklevel=2)
@@ -96,8 +84,7 @@ def best_of_starts(
     to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
     proof of local ones.
     """
-    if isinstance(restarts, bool) or int(restarts) != restarts or restarts < 1:
-        raise ValueError(f"restarts: need a whole number of starts >= 1, got {restarts}")
+    checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
     answers = [
         solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))

@@ -3,9 +3,9 @@
 import networkx as nx
 import numpy as np
 
+from fmsync import checks
 from fmsync.energy import gradient
-from fmsync.estimators.base import Callback, Estimate, estimator
-from fmsync.estimators.groups import check_group, nearest
+from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
 
@@ -22,7 +22,7 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
     >>> fmsync.solve(p, "spanning-tree").cost
     0.0
     """
-    check_group(group)
+    checks.one_of("group", group, GROUPS)
     graph = nx.empty_graph(problem.n_nodes)
     for e in np.argsort(problem.weights, kind="stable"):  # heavier ones overwrite lighter ones
         graph.add_edge(*problem.edges[e].tolist(), index=int(e))

@@ -1,14 +1,12 @@
 """The eigenvector relaxation of Singer (2011): a start for every other estimator, and hard to beat at low noise."""
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.linalg import eigh
 
-from fmsync import so
+from fmsync import checks, so
+from fmsync.block_krylov import block_lanczos, orthonormal_rows
 from fmsync.energy import gradient, neighbour_sums, sparse_sums
-from fmsync.estimators.base import Callback, Estimate, estimator
-from fmsync.estimators.groups import check_group, nearest
+from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
@@ -33,19 +31,12 @@ def spectral(
 
     Parameters
     ----------
-    problem
-        N nodes, E observed maps (n, n).
     rng
         Draws the start of the block iteration.
     group
         ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
     tolerance
         Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
-
-    Returns
-    -------
-    Estimate
-        ``absolute`` (N, n, n).
 
     Examples
     --------
@@ -61,7 +52,7 @@ def spectral(
 
 def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, tolerance: float) -> np.ndarray:
     """Members of the group (N, n, n): what ``spectral`` answers, in a gauge of its own."""
-    check_group(group)
+    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
     frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)
@@ -88,57 +79,9 @@ def _leading_eigenvectors(
             sums = sparse_sums(problem, blocks, maps)
         return scale * sums.reshape(size, n).astype(precision, copy=False)
 
-    start = rng.standard_normal((size, n)).astype(precision)
-    return _block_krylov(multiply, _orthonormal(start)[0], tolerance)
-
-
-def _block_krylov(multiply: Callable[[np.ndarray], np.ndarray], x: np.ndarray, tolerance: float) -> np.ndarray:
-    """Leading eigenvectors (size, n) of a symmetric operator by restarted block Lanczos, from orthonormal x (size, n).
-
-    Past the recovery threshold there is no gap to converge by: after the last cycle the best there is is returned.
-    """
-    size, n = x.shape
-    basis = np.empty((_DEPTH, size, n), x.dtype)
-    for _ in range(_CYCLES):
-        projected = np.zeros((_DEPTH * n, _DEPTH * n))  # upper triangle of the operator in that basis
-        for used in range(1, _DEPTH + 1):
-            basis[used - 1] = x
-            known = basis[:used]
-            x = multiply(x)
-            overlap = _take_off(known, x)
-            projected[: used * n, (used - 1) * n : used * n] = overlap.reshape(used * n, n)
-            x, coupling = _orthonormal(x)
-            if x.dtype == np.float64:  # near convergence what is left may be rounding; single precision stops before
-                _take_off(known, x)
-                x, _ = _orthonormal(x)
-            combination = np.linalg.eigh(projected[: used * n, : used * n], UPLO="U")[1][:, -n:]
-            done = np.linalg.norm(coupling @ combination[-n:], axis=0).max() <= tolerance
-            if done:
-                break
-        x = (known @ combination.reshape(used, n, n).astype(x.dtype)).sum(axis=0)
-        if done:
-            break
-    return x
-
-
-def _take_off(known: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Remove from x (size, n), in place, its part in orthonormal blocks (k, size, n); the overlaps are (k, n, n)."""
-    overlap = so.transpose(known) @ x
-    for block, part in zip(known, overlap):
-        x -= block @ part
-    return overlap
-
-
-def _orthonormal(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """QR of a tall matrix by Cholesky, much faster than Householder's, which takes over where a is near singular."""
-    try:
-        factor = np.linalg.cholesky(a.T @ a)
-    except np.linalg.LinAlgError:
-        return np.linalg.qr(a)
-    diagonal = np.diagonal(factor)
-    if diagonal.min() < 1e-5 * diagonal.max():
-        return np.linalg.qr(a)
-    return a @ np.linalg.inv(factor).T, factor.T
+    start, _ = orthonormal_rows(rng.standard_normal((size, n)).astype(precision).T)
+    _, rows = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)
+    return rows.T  # past the recovery threshold there is no gap to converge by: the best there is
 
 
 def _common_orientation(blocks: np.ndarray) -> np.ndarray:

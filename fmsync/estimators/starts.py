@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.energy import neighbour_sums
-from fmsync.estimators.base import Estimate
-from fmsync.estimators.groups import check_group, nearest
+from fmsync.estimators.base import GROUPS, Estimate, nearest
 from fmsync.estimators.spectral import spectral_maps
-from fmsync.problem import SyncProblem, check_rotations
+from fmsync.problem import SyncProblem
 
 _ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
@@ -20,7 +19,7 @@ def starting_point(
     "spectral", "random" (Haar), given maps, or an earlier estimate: of this problem, or of one that had only the first
     few of its nodes. Nodes that are new to it start at what their known neighbours say.
     """
-    check_group(group)
+    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
     if isinstance(init, str):
         if init == "random":
@@ -40,7 +39,7 @@ def starting_point(
     if known.shape != (n_nodes, n, n):
         raise ValueError(f"init: expected {(n_nodes, n, n)}, got {known.shape}")
     if group == "SO":
-        check_rotations(known, "init")
+        checks.rotations("init", known)
     return nearest(known, group)
 
 
@@ -48,13 +47,13 @@ def _grown(problem: SyncProblem, known: np.ndarray, group: str) -> np.ndarray:
     """(N, n, n): known maps first; the others, outwards along the edges, nearest to the sum over known neighbours."""
     absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
     absolute[: len(known)] = known
-    settled = np.arange(problem.n_nodes) < len(known)
+    placed = np.arange(problem.n_nodes) < len(known)
     tail, head = problem.edges.T
-    while not settled.all():
-        reached = np.zeros_like(settled)
-        reached[head[settled[tail]]] = True
-        reached[tail[settled[head]]] = True
-        reached &= ~settled
+    while not placed.all():
+        reached = np.zeros_like(placed)
+        reached[head[placed[tail]]] = True
+        reached[tail[placed[head]]] = True
+        reached &= ~placed
         absolute[reached] = nearest(neighbour_sums(problem, absolute)[reached], group)
-        settled |= reached
+        placed |= reached
     return absolute

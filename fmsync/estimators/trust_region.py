@@ -4,7 +4,6 @@ A model knows a manifold embedded in arrays with the Frobenius product and a cos
 Euclidean energy on SO(n)^N and, as nothing in it looks at determinants, on O(n)^N.
 """
 
-import time
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,12 +11,12 @@ import numpy as np
 
 from fmsync import so
 from fmsync.energy import neighbour_sums, sparse_sums
-from fmsync.estimators.base import Callback, Trace
+from fmsync.estimators.base import Callback, Recorder, Trace
 from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
 
 _MACHINE_STEP = 1e-13  # relative decrease of the cost that rounding still resolves
-_LOOSE = 0.1  # share of the gradient that a linear system may leave
+_LOOSE = 0.1  # fraction of the gradient that a linear system may leave
 
 
 @dataclass
@@ -97,18 +96,12 @@ class Rotations:
 
 
 def minimise(
-    model: Model, start: np.ndarray, *, tolerance: float, max_iterations: int, callback: Callback
+    model: Model, start: np.ndarray, *, tolerance: float, max_iterations: int, callback: Callback | None = None
 ) -> tuple[np.ndarray, bool, Trace]:
     """A point with gradient norm below ``tolerance``, whether it was reached, and the trace."""
-    began = time.perf_counter()
+    recorder = Recorder(callback)
     point = model.evaluate(start)
-    history = []
-
-    def record() -> None:
-        history.append((point.cost, point.norm, time.perf_counter() - began))
-        callback(len(history) - 1, point.absolute, point.cost, point.norm)
-
-    record()
+    recorder(point.absolute, point.cost, point.norm)
     radius = model.diameter / 8
     slack = _MACHINE_STEP * model.magnitude  # near the optimum both differences are rounding
     forcing = _LOOSE
@@ -126,11 +119,10 @@ def minimise(
         if ratio > 0.1:  # the next system is solved as far as the quadratic model held (Eisenstat & Walker 1996)
             forcing = min(_LOOSE, np.sqrt(abs(trial.norm - left) / point.norm))
             point = trial
-            record()
+            recorder(point.absolute, point.cost, point.norm)
         elif radius < 1e-14:
             break
-    trace = Trace(*(np.array(column) for column in zip(*history)))
-    return point.absolute, point.norm <= tolerance, trace
+    return point.absolute, point.norm <= tolerance, recorder.trace()
 
 
 def _truncated_cg(model: Model, point: Point, radius: float, target: float) -> tuple[np.ndarray, float, bool, float]:

@@ -1,26 +1,24 @@
-"""Gradient samplers with a Metropolis test: exact for either energy, and the yardstick of the others."""
+"""Gradient samplers with a Metropolis test: exact for either energy, and the reference for the others."""
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.energy import geodesic_energy, geodesic_gradient, neighbour_sums
 from fmsync.energy import gradient as energy_gradient
-from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
 from fmsync.samplers import langevin_kernels
-from fmsync.samplers.base import concentration, sampler
-from fmsync.samplers.heat_bath import prior_field
-from fmsync.samplers.noise_level import Concentration
+from fmsync.samplers.base import Sampler, Target, sampler
+from fmsync.samplers.concentration import Concentration
 from fmsync.samplers.random_streams import generators
 
 Evaluated = tuple[np.ndarray, np.ndarray, np.ndarray]  # energy (K,), potential (K,), gradient (K, N, n, n)
 
-_POLISH_EVERY = 50  # transitions between two repairs of orthogonality
+_REPAIR_EVERY = 50  # transitions between two re-orthonormalisations
 _MOST_STEPS = 200  # of one trajectory
-_SETTLE = 100  # transitions of the warm-up before an unknown noise level moves
+_BURN_IN = 100  # transitions of the warm-up before an unknown κ moves
 
 
 @sampler("hmc")
-class HMC:
+class HMC(Sampler):
     r"""Hamiltonian Monte Carlo on :math:`SO(n)^N` with trivialised momenta.
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
@@ -29,14 +27,9 @@ class HMC:
 
     Parameters
     ----------
-    problem, start, rng, prior
-        As :func:`fmsync.sample` passes them; ``start`` (K, N, n, n).
-    energy
-        ``"euclidean"`` or ``"geodesic"``, as for ``"rlfm"``. The geodesic gradient jumps on the cut locus: the draws stay
-        exact, fewer are accepted.
-    kappa, beta
-        Concentration of the observations, κ = 2β. ``kappa="auto"``, the default with the Euclidean energy, infers it;
-        the geodesic energy needs one of the two.
+    target, start, rng
+        As for every :class:`~fmsync.samplers.Sampler`. The geodesic energy needs κ or β, because its normaliser is not
+        known; its gradient jumps on the cut locus, where draws stay exact and fewer are accepted.
     integrator
         ``"cayley"`` or ``"exp"``.
     step
@@ -45,12 +38,6 @@ class HMC:
     length
         Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
         :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`. Every trajectory takes 50 to 150 % of it.
-
-    Raises
-    ------
-    ValueError
-        A step, length or level that is not positive, unknown choices, observations off the group with the geodesic
-        energy or an inferred level, ``kappa="auto"`` with the geodesic energy, whose normaliser is not known.
     """  # noqa: E501
 
     _target = 0.8
@@ -60,44 +47,30 @@ class HMC:
 
     def __init__(
         self,
-        problem: SyncProblem,
+        target: Target,
         start: np.ndarray,
         rng: np.random.Generator,
-        prior: LangevinPrior | None = None,
         *,
-        energy: str = "euclidean",
-        kappa: float | str | None = None,
-        beta: float | None = None,
         integrator: str = "cayley",
         step: float | None = None,
         length: float | None = None,
     ):
-        for name, value, choices in (
-            ("energy", energy, ("euclidean", "geodesic")),
-            ("integrator", integrator, ("cayley", "exp")),
-        ):
-            if value not in choices:
-                raise ValueError(f"{name}: {' or '.join(map(repr, choices))}, not {value!r}")
+        checks.one_of("integrator", integrator, ("cayley", "exp"))
+        target.only("hmc", likelihood="langevin")
         for name, size in (("step", step), ("length", length)):
-            if size is not None and not (np.isfinite(size) and size > 0):
-                raise ValueError(f"{name}: must be finite and > 0, got {size}; leave it out to have it adapted")
-        self._problem, self._rng, self._euclidean = problem, rng, energy == "euclidean"
-        self._exp = integrator == "exp"
-        self._level: Concentration | None = None
-        self._field = so.transpose(prior_field(problem, prior))  # κ_i M_i, or empty
-        if self._euclidean:
-            self._level = Concentration(problem, prior, kappa, beta, len(start), rng)
-            self.kappa = self._level.value
-        else:
-            if isinstance(kappa, str) or (kappa is None and beta is None):
-                raise ValueError(
-                    "kappa: the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with "
-                    "it; give kappa or beta, or use energy='euclidean'"
-                )
-            check_rotations(problem.maps, "maps (node = edge)")
-            self.kappa = np.full(len(start), concentration(kappa, beta))
-        self._inferred = self._level is not None and self._level.inferred
-        self._states = generators(rng, len(start))  # for the noise level
+            if size is not None:
+                checks.positive(name, size)
+        problem, self._euclidean = target.problem, target.energy == "euclidean"
+        if not (self._euclidean or isinstance(target.kappa, float)):
+            raise ValueError(
+                "kappa: the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with "
+                "it; give kappa or beta, or use energy='euclidean'"
+            )
+        self._problem, self._rng, self._exp = problem, rng, integrator == "exp"
+        self._field = so.transpose(target.field)  # κ_i M_i, or empty
+        self._concentration = Concentration(target, len(start), rng)
+        self.kappa = self._concentration.value
+        self._states = generators(rng, len(start))  # for κ
         first = 0.5 / np.sqrt(self.kappa * problem.degrees.max() + problem.n) if step is None else step
         self._adapting, self._averaging = step is None, DualAveraging(np.full(len(start), first), self._target)
         self._step = self._averaging.step
@@ -105,21 +78,20 @@ class HMC:
         self._c, self._age = np.ascontiguousarray(start), 0
         self._accepted, self._tried = 0.0, 0
         self.refresh()
-        self.ceiling, self.advice = np.full(len(start), np.inf), "the state is not finite"
-        self._plain = {"energy": energy, "integrator": integrator, "level_inferred": self._inferred}
+        self._choices: dict[str, object] = {"energy": target.energy, "integrator": integrator}
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, and what was adapted: mean step over the chains, steps a trajectory, share accepted since."""
-        found = {"step": float(self._step.mean()), "n_steps": self._n_steps(1.0)}
-        return self._plain | found | {"acceptance": self._accepted / max(self._tried, 1)}
+        """Choices, and what was adapted: mean step over the chains, steps a trajectory, acceptance since."""
+        return self._choices | {
+            "kappa_inferred": self._concentration.inferred,
+            "step": float(self._step.mean()),
+            "n_steps": self._n_steps(1.0),
+            "acceptance": self._accepted / max(self._tried, 1),
+        }
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
-        return self._c
-
-    def draw(self) -> np.ndarray:
         """(K, N, n, n) rotations."""
         return self._c
 
@@ -127,7 +99,7 @@ class HMC:
         """(K,) energy of the observations, without the prior."""
         return self._observed
 
-    def step(self, warming: bool) -> None:
+    def step(self, warmup: bool) -> None:
         """One trajectory of every chain, and a draw of κ where it is inferred."""
         momentum = so.skew(self._rng.standard_normal(self._c.shape))
         count = self._n_steps(self._rng.uniform(0.5, 1.5))
@@ -140,17 +112,17 @@ class HMC:
         self._observed = np.where(taken, observed, self._observed)
         self._potential = np.where(taken, potential, self._potential)
         self._age += 1
-        if warming:
+        if warmup:
             self._adapt(chance)
         else:
             if self._adapting:
                 self._step, self._adapting = self._averaging.average, False
             self._accepted, self._tried = self._accepted + float(chance.mean()), self._tried + 1
-        if self._level is not None and self._inferred and not (warming and self._age < _SETTLE):
-            self._level.update((self._problem.constant - self._observed) / 2, self._states)
+        if self._concentration.inferred and not (warmup and self._age < _BURN_IN):
+            self._concentration.update((self._problem.constant - self._observed) / 2, self._states)
             self.refresh()
-        if self._age % _POLISH_EVERY == 0:
-            self._c = langevin_kernels.polish(self._c)
+        if self._age % _REPAIR_EVERY == 0:
+            self._c = langevin_kernels.reorthonormalised(self._c)
             self.refresh()
 
     def trajectory(
@@ -198,14 +170,12 @@ class HMC:
         langevin_kernels.rotate(moved, np.ascontiguousarray(omega).reshape(moved.shape))
         return moved.reshape(c.shape)
 
-    def _n_steps(self, share: float) -> int:
-        if self._length is not None:
-            length = np.full(len(self._step), self._length)
-        else:
-            mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
-            n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
-            length = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
-        return int(np.clip(np.ceil(share * np.median(length / self._step)), 1, _MOST_STEPS))
+    def _n_steps(self, fraction: float) -> int:
+        mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
+        n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
+        adapted = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
+        length = adapted if self._length is None else self._length
+        return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
 
     def _adapt(self, chance: np.ndarray) -> None:
         if self._adapting:
@@ -222,30 +192,13 @@ class MALA(HMC):
 
     Parameters
     ----------
-    problem, start, rng, prior, energy, kappa, beta, integrator, step
+    target, start, rng, integrator, step
         As for ``"hmc"``.
     """
 
     _target = 0.574
 
-    def __init__(
-        self,
-        problem: SyncProblem,
-        start: np.ndarray,
-        rng: np.random.Generator,
-        prior: LangevinPrior | None = None,
-        *,
-        energy: str = "euclidean",
-        kappa: float | str | None = None,
-        beta: float | None = None,
-        integrator: str = "cayley",
-        step: float | None = None,
-    ):
-        super().__init__(
-            problem, start, rng, prior, energy=energy, kappa=kappa, beta=beta, integrator=integrator, step=step
-        )
-
-    def _n_steps(self, share: float) -> int:
+    def _n_steps(self, fraction: float) -> int:
         return 1
 
 

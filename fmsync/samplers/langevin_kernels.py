@@ -122,34 +122,33 @@ def _taylor_18(a: np.ndarray, a2: np.ndarray, a3: np.ndarray, x: np.ndarray, y: 
 
 @numba.njit(cache=True)
 def langevin_tangents(
-    c: np.ndarray, sums: np.ndarray, noise: np.ndarray, drift: np.ndarray, spread: np.ndarray
+    c: np.ndarray, sums: np.ndarray, noise: np.ndarray, drift: float, noise_scale: float
 ) -> np.ndarray:
-    r"""Tangent vectors (B, n, n) :math:`\Omega = 2\,\mathrm{drift}\,\mathrm{skew}(C^\top S) + \mathrm{spread}\,W`.
+    r"""Tangent vectors (B, n, n) :math:`\Omega = 2d\,\mathrm{skew}(C^\top S) + sW`, d the drift and s the noise scale.
 
     W is a standard normal skew-symmetric matrix in the Frobenius product: entries above the diagonal are ``noise``
-    (B, n(n-1)/2) divided by √2. ``drift`` and ``spread`` (B,) are one number for every matrix.
+    (B, n(n-1)/2) divided by √2.
     """
     batch, n = c.shape[0], c.shape[-1]
     omega = np.empty((batch, n, n))
     m = np.empty((n, n))
+    half = noise_scale / np.sqrt(2.0)
     for k in range(batch):
         np.dot(c[k].T, sums[k], m)
-        half = spread[k] / np.sqrt(2.0)
         t = 0
         for r in range(n):
             omega[k, r, r] = 0.0
             for s in range(r + 1, n):
-                value = drift[k] * (m[r, s] - m[s, r]) + half * noise[k, t]
+                value = drift * (m[r, s] - m[s, r]) + half * noise[k, t]
                 omega[k, r, s] = value
                 omega[k, s, r] = -value
                 t += 1
     return omega
 
 
-def polish(c: np.ndarray) -> np.ndarray:
+def reorthonormalised(c: np.ndarray) -> np.ndarray:
     r"""Take the rounding off nearly orthogonal (..., n, n) by one Newton step :math:`C(3I - C^\top C)/2`.
 
-    It squares the distance from the group, so that after any number of moves what is left is rounding; the law of a
-    chain does not notice a shift of 1e-12.
+    It squares the distance from the group, so that after any number of moves what is left is rounding.
     """
     return c @ (1.5 * np.eye(c.shape[-1]) - 0.5 * (np.swapaxes(c, -1, -2) @ c))

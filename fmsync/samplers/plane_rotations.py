@@ -59,7 +59,7 @@ def node_blocks(
 
 
 @numba.njit(cache=True, nogil=True)
-def sweep_chains(
+def sweep(
     x: np.ndarray,
     blocks: np.ndarray,
     start: np.ndarray,
@@ -72,27 +72,7 @@ def sweep_chains(
     states: np.ndarray,
     gains: np.ndarray,
 ) -> None:
-    """:func:`sweep` for all of x (K, N, n, n); blocks (K, 2E n²), or (1, 2E n²) where all chains read the same."""
-    for k in range(len(x)):
-        block = blocks[k if len(blocks) > 1 else 0]
-        sweep(x[k], block, start, other, field, kappa[k], over_relaxations, planes, nodes, states[k], gains[k])
-
-
-@numba.njit(cache=True, nogil=True)
-def sweep(
-    x: np.ndarray,
-    blocks: np.ndarray,
-    start: np.ndarray,
-    other: np.ndarray,
-    field: np.ndarray,
-    kappa: float,
-    over_relaxations: int,
-    planes: np.ndarray,
-    nodes: np.ndarray,
-    states: np.ndarray,
-    gains: np.ndarray,
-) -> None:
-    r"""Visit nodes of one chain: each is over-relaxed some times, then drawn by the heat bath.
+    r"""Visit nodes of every chain: each is over-relaxed some times, then drawn by the heat bath.
 
     Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
     :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises. Over-relaxation takes θ to
@@ -101,13 +81,13 @@ def sweep(
     Parameters
     ----------
     x
-        (N, n, n) transposed absolute maps, changed in place.
+        (K, N, n, n) transposed absolute maps, changed in place.
     blocks, start, other
-        From :func:`node_blocks` and the incidence of the problem.
+        From :func:`node_blocks`, (K, 2E n²) or, where all chains read the same, (1, 2E n²), and from the incidence.
     field
         (N, n, n) transposed linear terms of a prior, or (0, n, n): :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`.
     kappa
-        Concentration of the observations.
+        (K,) concentration of the observations.
     over_relaxations
         Reflections of every pair of columns before the draw.
     planes
@@ -115,11 +95,11 @@ def sweep(
     nodes
         Nodes to visit, in this order.
     states
-        (N, 4, 8) generators, one a node.
+        (K, N, 4, 8) generators, one a node.
     gains
-        (N,): at every node visited, the change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
+        (K, N): at every node visited, the change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
     """
-    n = x.shape[1]
+    n = x.shape[-1]
     largest = 0
     for i in nodes:
         largest = max(largest, start[i + 1] - start[i])
@@ -128,30 +108,32 @@ def sweep(
     rows = np.empty((n, 2 * n))  # row a: column a of W, then column a of C
     angles = np.ones((5, (planes.shape[1] + 3) // 4 * 4))  # whole vectors: those beyond the planes are not used
     pool = np.empty(POOL)
-    for i in nodes:
-        degree = start[i + 1] - start[i]
-        for t in range(degree):
-            gathered[t * n : (t + 1) * n] = x[other[start[i] + t]]
-        block = blocks[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
-        np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
-        before = _inner(sums, x[i])
-        for a in range(n):
-            for b in range(n):
-                force[a, b] = kappa * sums[a, b]
-                if len(field):
-                    force[a, b] += field[i, a, b]
-        np.dot(x[i], force.T, product)  # Wᵀ
-        for a in range(n):
-            for b in range(n):
-                rows[a, b] = product[a, b]
-                rows[a, n + b] = x[i, a, b]
-        for _ in range(over_relaxations):
-            _over_relax(rows, planes, angles)
-        _draw(rows, planes, angles, states[i], pool)
-        for a in range(n):
-            for b in range(n):
-                x[i, a, b] = rows[a, n + b]
-        gains[i] = _inner(sums, x[i]) - before
+    for k in range(len(x)):
+        c, own = x[k], blocks[k if len(blocks) > 1 else 0]
+        for i in nodes:
+            degree = start[i + 1] - start[i]
+            for t in range(degree):
+                gathered[t * n : (t + 1) * n] = c[other[start[i] + t]]
+            block = own[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
+            np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
+            before = _inner(sums, c[i])
+            for a in range(n):
+                for b in range(n):
+                    force[a, b] = kappa[k] * sums[a, b]
+                    if len(field):
+                        force[a, b] += field[i, a, b]
+            np.dot(c[i], force.T, product)  # Wᵀ
+            for a in range(n):
+                for b in range(n):
+                    rows[a, b] = product[a, b]
+                    rows[a, n + b] = c[i, a, b]
+            for _ in range(over_relaxations):
+                _over_relax(rows, planes, angles)
+            _draw(rows, planes, angles, states[k, i], pool)
+            for a in range(n):
+                for b in range(n):
+                    c[i, a, b] = rows[a, n + b]
+            gains[k, i] = _inner(sums, c[i]) - before
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

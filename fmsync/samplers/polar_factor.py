@@ -1,4 +1,4 @@
-r"""The paper's noise, exactly: the stretch that projection threw away is put back as an unknown.
+r"""The paper's noise, exactly: the symmetric polar factor that projection threw away is put back as a latent variable.
 
 :math:`C_{ij}P_{ij} = C_i^\top C_j + \sigma G` with P symmetric and :math:`\lambda_a+\lambda_b>0` for all pairs of its
 eigenvalues: that is the region which projection to SO(n) maps to C_ij, and the Jacobian is
@@ -9,7 +9,7 @@ is linear in each map: the heat bath applies. Given the maps, with A the symmetr
 .. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
 
 drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws
-and eigenvalues by slices, half of either in turn. The maps mix more slowly than the stretches: half is enough.
+and eigenvalues by slices, half of either in turn. The maps mix more slowly than the polar factors: half is enough.
 """
 
 from collections.abc import Callable
@@ -17,27 +17,30 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from fmsync.problem import SyncProblem
-from fmsync.samplers.noise_level import matched_to_spectral
+from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
 from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
 
 Work = Callable[[int, int], None]  # on chains first .. last
 
 LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
-_LEVEL_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
+_SIGMA2_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
 
 
-class Stretches:
-    """Stretches and noise level of every chain, beside the blocks of observations that the map sweep reads.
+class PolarFactors:
+    """Symmetric polar factors and noise variance of every chain, and the blocks of observations that map sweeps read.
 
     ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
     """
 
-    def __init__(self, problem: SyncProblem, n_chains: int, rng: np.random.Generator):
-        n, n_edges = problem.n, problem.n_edges
-        self._problem = problem
-        sigma2 = np.clip(1 / matched_to_spectral(problem, rng), LEAST_SIGMA2, 1.0)
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        self._problem = target.problem
+        n, n_edges = self._problem.n, self._problem.n_edges
+        if target.kappa is not None:
+            raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
+        if (self._problem.weights != 1).any():
+            raise ValueError("weights: likelihood='projected-gaussian' needs weights 1; repeat an edge instead")
+        sigma2 = np.clip(1 / target.matched_kappa("sigma2", rng), LEAST_SIGMA2, 1.0)
         self.sigma2 = np.full(n_chains, sigma2)
         noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
         _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
@@ -45,8 +48,8 @@ class Stretches:
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(self, x: np.ndarray, states: np.ndarray, levels: bool, share: Callable[[Work, int], None]) -> None:
-        """New stretches given the transposed maps x (K, N, n, n), if ``levels`` a new σ², and the blocks."""
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Callable[[Work, int], None]) -> None:
+        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks."""
         p = self._problem
         start, edge, _, forward = p.incidence
         self._age += 1
@@ -55,16 +58,16 @@ class Stretches:
 
         def some(first: int, last: int) -> None:
             own = slice(first, last)
-            stretch_chains(
+            polar_factor_step(
                 x[own], self._vectors[own], self._values[own], self.sigma2[own], self.blocks[own], states[own],
-                p.edges, p.maps, planes, parity, levels, start, edge, forward,
+                p.edges, p.maps, planes, parity, infer, start, edge, forward,
             )  # fmt: skip
 
-        share(some, len(x))
+        over_chains(some, len(x))
 
 
 @numba.njit(cache=True, nogil=True)
-def stretch_chains(
+def polar_factor_step(
     x: np.ndarray,
     vectors: np.ndarray,
     values: np.ndarray,
@@ -75,76 +78,54 @@ def stretch_chains(
     maps: np.ndarray,
     planes: np.ndarray,
     parity: int,
-    levels: bool,
+    infer: bool,
     start: np.ndarray,
     edge: np.ndarray,
     forward: np.ndarray,
 ) -> None:
-    """:func:`stretch_step` for every chain, σ² and blocks written."""
-    stretched, ones = np.empty(maps.shape), np.ones(len(maps))
-    for k in range(len(x)):
-        sigma2[k] = stretch_step(
-            x[k], edges, maps, vectors[k], values[k], sigma2[k], levels, planes, parity, stretched, states[k]
-        )
-        node_blocks(stretched, ones, start, edge, forward, blocks[k])
+    """All edges of every chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
-
-@numba.njit(cache=True, nogil=True)
-def stretch_step(
-    x: np.ndarray,
-    edges: np.ndarray,
-    maps: np.ndarray,
-    vectors: np.ndarray,
-    values: np.ndarray,
-    sigma2: float,
-    levels: bool,
-    planes: np.ndarray,
-    parity: int,
-    stretched: np.ndarray,
-    state: np.ndarray,
-) -> float:
-    """All edges of one chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
-
-    C P goes to ``stretched`` (E, n, n).
-
-    Returns σ².
+    With ``infer`` a new σ² of every chain; C P goes to the ``blocks`` of the map sweeps.
     """
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
     rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
-    angles, pool, at = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL), POOL
-    quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
-    for e in range(n_edges):
-        np.dot(x[edges[e, 0]], x[edges[e, 1]].T, relative)
-        np.dot(maps[e].T, relative, product)
-        for a in range(n):
-            for b in range(n):
-                centre[a, b] = (product[a, b] + product[b, a]) / 2
-        np.dot(vectors[e], centre, product)
-        for a in range(n):
-            diagonal[a] = 0.0
-            for b in range(n):
-                rows[a, b], rows[a, n + b] = vectors[e, a, b], product[a, b]
-                diagonal[a] += vectors[e, a, b] * product[a, b]
-        at = rotate_eigenvectors(rows, diagonal, values[e], sigma2, planes, angles, state, pool, at)
-        draw_eigenvalues(values[e], diagonal, sigma2, parity, state)
-        for a in range(n):
-            quadratic += values[e, a] * values[e, a]
-            linear += values[e, a] * diagonal[a]
-            for b in range(n):
-                vectors[e, a, b] = rows[a, b]
-    scale = 1.0
-    if levels:
-        sigma2, scale = draw_level(quadratic, linear, n_edges * n, n_edges * n * n, sigma2, state)
-        values *= scale
-    for e in range(n_edges):
-        for a in range(n):
-            for b in range(n):
-                scaled[a, b] = values[e, a] * vectors[e, a, b]
-        np.dot(vectors[e].T, scaled, product)
-        np.dot(maps[e], product, stretched[e])
-    return sigma2
+    unprojected, ones = np.empty(maps.shape), np.ones(n_edges)
+    angles, pool = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL)
+    for k in range(len(x)):
+        quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
+        at = POOL  # a chain has numbers of its own
+        for e in range(n_edges):
+            np.dot(x[k, edges[e, 0]], x[k, edges[e, 1]].T, relative)
+            np.dot(maps[e].T, relative, product)
+            for a in range(n):
+                for b in range(n):
+                    centre[a, b] = (product[a, b] + product[b, a]) / 2
+            np.dot(vectors[k, e], centre, product)
+            for a in range(n):
+                diagonal[a] = 0.0
+                for b in range(n):
+                    rows[a, b], rows[a, n + b] = vectors[k, e, a, b], product[a, b]
+                    diagonal[a] += vectors[k, e, a, b] * product[a, b]
+            at = rotate_eigenvectors(rows, diagonal, values[k, e], sigma2[k], planes, angles, states[k], pool, at)
+            draw_eigenvalues(values[k, e], diagonal, sigma2[k], parity, states[k])
+            for a in range(n):
+                quadratic += values[k, e, a] * values[k, e, a]
+                linear += values[k, e, a] * diagonal[a]
+                for b in range(n):
+                    vectors[k, e, a, b] = rows[a, b]
+        scale = 1.0
+        if infer:
+            sigma2[k], scale = draw_sigma2(quadratic, linear, n_edges * n, n_edges * n * n, sigma2[k], states[k])
+            values[k] *= scale
+        for e in range(n_edges):
+            for a in range(n):
+                for b in range(n):
+                    scaled[a, b] = values[k, e, a] * vectors[k, e, a, b]
+            np.dot(vectors[k, e].T, scaled, product)
+            np.dot(maps[e], product, unprojected[e])
+        node_blocks(unprojected, ones, start, edge, forward, blocks[k])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -246,17 +227,17 @@ def draw_eigenvalues(values: np.ndarray, diagonal: np.ndarray, sigma2: float, pa
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_level(
+def draw_sigma2(
     quadratic: float, linear: float, constant: int, dimension: int, sigma2: float, state: np.ndarray
 ) -> tuple[float, float]:
-    r"""σ² and a factor s for all stretches, given their shapes: (σ², s).
+    r"""σ² and a factor s for all polar factors, given their directions: (σ², s).
 
     Two exact steps in turn, with Q = Σ‖P‖², L = Σ tr(P A), c the constant and :math:`\sum\lVert M-R\rVert^2 = Q-2L+c`.
     σ² alone is inverse gamma. Along the joint scaling :math:`(P, \sigma)\to(sP, s\sigma)` all powers of s cancel but
     one: with v = 1/s the density is :math:`v^{-1}\exp(-c\,(v-L/c)^2/2\sigma^2)`.
     """
     scale = 1.0
-    for _ in range(_LEVEL_ROUNDS):
+    for _ in range(_SIGMA2_ROUNDS):
         v = linear / constant + np.sqrt(sigma2 / constant) * _normal(state)
         if v > 0 and uniform(state) * v < 1 and LEAST_SIGMA2 <= sigma2 / (v * v) <= LARGEST_SIGMA2:
             scale /= v

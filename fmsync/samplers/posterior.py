@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.diagnostics import Summary, summary
 from fmsync.problem import SyncProblem, relative_maps
 
@@ -19,8 +19,7 @@ class Posterior:
     method
         Registered name of the sampler.
     absolute
-        (chains, draws, N, n, n) rotations in whatever gauge the chains were; a memory map when they were stored on
-        disk, (chains, 0, N, n, n) when they were not kept.
+        (chains, draws, N, n, n) rotations in whatever gauge the chains were.
     energy
         (chains, draws) potential U of every draw, without the temperature.
     kappa
@@ -28,7 +27,7 @@ class Posterior:
     interrupted
         Whether Ctrl-C ended the run early; the draws before it are kept.
     settings
-        Plain values the sampler ran with: step, warm-up, thinning, ...
+        Plain values the sampler ran with: step, warm-up, thinning, …
     """
 
     problem: SyncProblem
@@ -61,34 +60,17 @@ class Posterior:
 
         ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
         """
-        return relative_maps(self.kept(), self._edges(edges))
+        return relative_maps(self.absolute, self._edges(edges))
 
-    def relative_mean(
-        self, edges: np.ndarray | None = None, *, distance: str = "chordal", projected: bool = True
-    ) -> np.ndarray:
-        """Mean over all draws of the relative maps, (E, n, n): independent of every gauge.
+    def relative_mean(self, edges: np.ndarray | None = None, *, projected: bool = True) -> np.ndarray:
+        """Chordal mean over all draws of the relative maps, (E, n, n): independent of every gauge.
 
-        Parameters
-        ----------
-        edges
-            (E, 2) pairs, by default the problem's own.
-        distance
-            Of the Fréchet mean. ``"chordal"``: nearest rotation to the arithmetic mean. ``"geodesic"``: see
-            :func:`fmsync.so.frechet_mean`.
-        projected
-            False: the arithmetic mean itself, which is not a rotation but of all matrices the one with the least
-            expected squared Frobenius error.
+        ``edges`` (E, 2) are the problem's own by default. With ``projected=False`` it is the arithmetic mean itself,
+        which is not a rotation but of all matrices the one with the least expected squared Frobenius error.
         """
         edges = self._edges(edges)
-        n = self.problem.n
-        if distance == "geodesic":
-            means = [so.frechet_mean(self.relative(edge[None]).reshape(-1, n, n)) for edge in edges]
-            return np.stack(means)
-        if distance != "chordal":
-            raise ValueError(f"distance: 'chordal' or 'geodesic', not {distance!r}")
         # one product per pair over all draws at once, and no (draws, E, n, n) array
-        absolute = self.kept()
-        stacked = {k: absolute[:, :, k].reshape(-1, n) for k in np.unique(edges)}  # (draws n, n)
+        stacked = {k: self.absolute[:, :, k].reshape(-1, self.problem.n) for k in np.unique(edges)}  # (draws n, n)
         mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
         return so.project(mean) if projected else mean
 
@@ -96,7 +78,7 @@ class Posterior:
         r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
 
         The centre is the arithmetic mean of the draws. A draw's distance is taken to the mean of the *others*,
-        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own share in the centre would make balls too small.
+        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own part in the centre would make balls too small.
 
         Examples
         --------
@@ -107,18 +89,11 @@ class Posterior:
         >>> bool(0 < radius[0] < 1)
         True
         """
-        if not 0 < level < 1:
-            raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
+        checks.probability("level", level)
         edges = self._edges(edges)
         centres = self.relative_mean(edges, projected=False)
         radii = [np.quantile(self._distances(edge, centre), level) for edge, centre in zip(edges, centres)]
         return centres, np.array(radii)
-
-    def spread(self, edges: np.ndarray | None = None) -> np.ndarray:
-        """(E,) root-mean-square Frobenius distance of the draws from their arithmetic mean: how unsure each edge is."""
-        edges = self._edges(edges)
-        squared = self.problem.n - (self.relative_mean(edges, projected=False) ** 2).sum((1, 2))
-        return np.sqrt(np.maximum(squared, 0))
 
     def summary(self) -> Summary:
         """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
@@ -128,12 +103,6 @@ class Posterior:
         """(chains * draws,) distance of every draw of one relative map to the mean of the others."""
         draws = self.relative(edge[None]).reshape(-1, *centre.shape)
         return len(draws) / max(len(draws) - 1, 1) * np.linalg.norm(draws - centre, axis=(1, 2))
-
-    def kept(self) -> np.ndarray:
-        """``absolute``, or a ValueError that says that the draws were not kept."""
-        if self.absolute.shape[1] != self.n_draws:
-            raise ValueError("absolute: the draws were not kept (store=None); sample with store='memory' or a path")
-        return self.absolute
 
     def _edges(self, edges: np.ndarray | None) -> np.ndarray:
         return self.problem.edges if edges is None else np.asarray(edges)

@@ -86,10 +86,11 @@ def von_mises_halves(
 ) -> int:
     r"""cos φ and sin φ of half angles φ = ψ/2, where ψ has density :math:`\propto e^{k\cos\psi}`, k >= 0.
 
-    The tangent of ψ/4 is proposed by Student's t law with two degrees of freedom, :math:`v=\sqrt{w}\,a/\sqrt{1-a^2}`
-    with a uniform on (-1, 1) and w = 1/(8k + 1/2), cut to \|v\| <= 1. Target over envelope,
-    :math:`e^{-8kz/(1+z)^2}(1+z/w)^{3/2}/(1+z)` with :math:`z=v^2`, is at most 2.4, and 1.14 for k >= 2: then at least
-    77 % of the proposals pass. The first proposals for all k are vector code, those that fail are redone one by one.
+    The tangent of ψ/4 is proposed by Student's t distribution with two degrees of freedom,
+    :math:`v=\sqrt{w}\,a/\sqrt{1-a^2}` with a uniform on (-1, 1) and w = 1/(8k + 1/2), cut to \|v\| <= 1. Target over
+    envelope, :math:`e^{-8kz/(1+z)^2}(1+z/w)^{3/2}/(1+z)` with :math:`z=v^2`, is at most 2.4, and 1.14 for k >= 2: then
+    at least 77 % of the proposals pass. The first proposals for all k are vector code, those that fail are redone one
+    by one.
 
     Parameters
     ----------

@@ -2,17 +2,17 @@ r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test.
 
 import numpy as np
 
-from fmsync import so
-from fmsync.energy import geodesic_energy, geodesic_gradient, neighbour_sums, unconstrained_energy
-from fmsync.problem import LangevinPrior, SyncProblem, check_rotations, fix_gauge
+from fmsync import checks, so
+from fmsync.energy import geodesic_energy, geodesic_gradient, gram_blocks, neighbour_sums, unconstrained_energy
+from fmsync.problem import SyncProblem, anchored, fix_gauge
 from fmsync.samplers import langevin_kernels
-from fmsync.samplers.base import concentration, sampler, with_anchor
+from fmsync.samplers.base import Sampler, Target, sampler
 
-_POLISH_EVERY = 100  # steps between two repairs of orthogonality
+_REPAIR_EVERY = 100  # steps between two re-orthonormalisations
 
 
 @sampler("rlfm")
-class RLFM:
+class RLFM(Sampler):
     r"""Riemannian Langevin functional map sampler: unadjusted, so its distribution is off by O(h).
 
     .. math::
@@ -25,17 +25,8 @@ class RLFM:
 
     Parameters
     ----------
-    problem
-        What was observed.
-    start
-        (K, N, n, n) rotations.
-    rng
-        Generator of all chains.
-    prior
-        As for :func:`fmsync.sample`.
-    energy
-        ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2` or ``"geodesic"``
-        :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
+    target, start, rng
+        As for every :class:`~fmsync.samplers.Sampler`.
     retraction
         R: ``"exp"``, along geodesics, or ``"qf"``, the Q factor of C + V.
     constrained
@@ -44,47 +35,33 @@ class RLFM:
     step
         h > 0. By default :math:`h/\beta = 1/(10\,(\kappa\deg_{\max} + n))`, a small part of the time in which the
         stiffest direction relaxes; the noise then turns no plane by more than about half a radian.
-    kappa, beta
-        Temperature, one of the two: κ = 2β for either energy. β = 1 by default, as in the paper, whatever the noise.
     drift
         ``"descent"``, or ``"printed"`` for the sign that the paper prints.
-
-    Raises
-    ------
-    ValueError
-        A step, κ or β that is not positive, κ and β both given, an unknown choice, observations off the group with the
-        geodesic energy, a geodesic energy in an unconstrained chain.
     """
 
     def __init__(
         self,
-        problem: SyncProblem,
+        target: Target,
         start: np.ndarray,
         rng: np.random.Generator,
-        prior: LangevinPrior | None = None,
         *,
-        energy: str = "euclidean",
         retraction: str = "exp",
         constrained: bool = True,
         step: float | None = None,
-        kappa: float | None = None,
-        beta: float | None = None,
         drift: str = "descent",
     ):
-        _one_of("energy", energy, ("euclidean", "geodesic"))
-        _one_of("retraction", retraction, ("exp", "qf"))
-        _one_of("drift", drift, ("descent", "printed"))
-        concentrated = concentration(kappa, beta)
-        if energy == "geodesic":
-            if not constrained:
-                raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
-            check_rotations(problem.maps, "maps (node = edge)")
-        if step is not None and not (np.isfinite(step) and step > 0):
-            raise ValueError(f"step: must be finite and > 0, got {step}; leave it out for the default")
+        checks.one_of("retraction", retraction, ("exp", "qf"))
+        checks.one_of("drift", drift, ("descent", "printed"))
+        target.only("rlfm", likelihood="langevin")
+        problem, kappa = target.problem, target.fixed_kappa()
+        self._euclidean, self._exp, self._constrained = target.energy == "euclidean", retraction == "exp", constrained
+        if not (self._euclidean or constrained):
+            raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
         self._n_kept = problem.n_nodes
         self._held: int | None = None
-        if prior is not None:
-            problem, start = with_anchor(problem, start, prior, concentrated)
+        if target.prior is not None:  # one more node, the last, that is held at I
+            anchor = np.broadcast_to(np.eye(problem.n), (len(start), 1, problem.n, problem.n))
+            problem, start = anchored(problem, target.prior, kappa), np.concatenate([start, anchor], axis=1)
             self._held = self._n_kept
         elif not constrained:
             start, self._held = fix_gauge(start), 0
@@ -92,25 +69,21 @@ class RLFM:
         self._problem, self._rng, self._age = problem, rng, 0
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
         self._sums: np.ndarray | None = None  # neighbour sums of the present state, if known
-        self._euclidean, self._exp, self._constrained = energy == "euclidean", retraction == "exp", constrained
-        self._climbs = drift == "printed"
-        self._beta = concentrated / 2
-        default = default_step(problem, concentrated)
-        self._h = default if step is None else float(step)
-        self._drift, self._spread = -self._h if self._climbs else self._h, np.sqrt(2 * self._h / self._beta)
+        self._climbs, self._beta = drift == "printed", kappa / 2
+        default = default_step(problem, kappa)
+        self._h = default if step is None else checks.positive("step", step)
+        self._drift, self._noise = -self._h if self._climbs else self._h, np.sqrt(2 * self._h / self._beta)
         if not constrained:
-            self._gram = _gram(problem)
-        self.kappa = np.full(len(self._c), concentrated)
+            self._gram = gram_blocks(problem)
+        self.kappa = np.full(len(self._c), kappa)
         self.ceiling = self._ceiling()
         self.advice = f"the step h = {self._h:.3g} is too long, try step={min(default, self._h / 4):.2g}"
-        self.settings = {
-            "energy": energy,
-            "retraction": retraction,
-            "constrained": bool(constrained),
-            "step": float(self._h),
-            "beta": self._beta,
-            "drift": drift,
-        }
+        self._choices = {"energy": target.energy, "retraction": retraction, "drift": drift}
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """Choices, the step and β."""
+        return self._choices | {"constrained": self._constrained, "step": float(self._h), "beta": self._beta}
 
     @property
     def state(self) -> np.ndarray:
@@ -129,7 +102,7 @@ class RLFM:
             return geodesic_energy(self._problem, self._c)
         return self._problem.constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
 
-    def step(self, warming: bool) -> None:
+    def step(self, warmup: bool) -> None:
         """Advance all chains by one step; nothing is adapted."""
         fixed = None if self._held is None else self._c[:, self._held].copy()
         if self._constrained:
@@ -137,24 +110,23 @@ class RLFM:
         else:
             gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
             noise = self._rng.standard_normal(self._c.shape)
-            self._c = self._c - self._drift * gradient + self._spread * noise
+            self._c = self._c - self._drift * gradient + self._noise * noise
         if fixed is not None:
             self._c[:, self._held] = fixed
         self._sums = None
         self._age += 1
-        if self._constrained and self._age % _POLISH_EVERY == 0:
-            self._c = langevin_kernels.polish(self._c)
+        if self._constrained and self._age % _REPAIR_EVERY == 0:
+            self._c = langevin_kernels.reorthonormalised(self._c)
 
     def _tangents(self) -> np.ndarray:
         """Body-frame Ω (K N, n, n) of V = C Ω."""
         n = self._c.shape[-1]
         flat = self._c.reshape(-1, n, n)
         noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
-        drift, spread = np.full(len(flat), self._drift), np.full(len(flat), self._spread)
         if self._euclidean:
             sums = self._neighbour_sums().reshape(flat.shape)
-            return langevin_kernels.langevin_tangents(flat, sums, noise, drift, spread)
-        omega = langevin_kernels.langevin_tangents(flat, flat, noise, np.zeros(len(flat)), spread)
+            return langevin_kernels.langevin_tangents(flat, sums, noise, self._drift, self._noise)
+        omega = langevin_kernels.langevin_tangents(flat, flat, noise, 0.0, self._noise)
         omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
         return omega
 
@@ -196,17 +168,3 @@ class RLFM:
 def default_step(problem: SyncProblem, kappa: float) -> float:
     r"""The default h: :math:`h/\beta = 1/(10\,(\kappa\,\deg_{\max} + n))`, β = κ/2."""
     return 0.05 * kappa / (kappa * problem.degrees.max() + problem.n)
-
-
-def _gram(problem: SyncProblem) -> np.ndarray:
-    """(N, n, n) sum of w C_ij C_ij^T over edges out of a node and of w I over edges into it."""
-    gram = np.zeros((problem.n_nodes, problem.n, problem.n))
-    weights = problem.weights[:, None, None]
-    np.add.at(gram, problem.edges[:, 0], weights * (problem.maps @ so.transpose(problem.maps)))
-    np.add.at(gram, problem.edges[:, 1], weights * np.eye(problem.n))
-    return gram
-
-
-def _one_of(name: str, value: object, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name}: {' or '.join(map(repr, choices))}, not {value!r}")

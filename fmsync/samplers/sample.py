@@ -1,19 +1,17 @@
 """Draw from the posterior of a problem by any sampler."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.diagnostics import warn_unless_converged
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
 from fmsync.estimators.starts import starting_point
 from fmsync.problem import LangevinPrior, SyncProblem
-from fmsync.samplers.base import SAMPLERS, Sampler
-from fmsync.samplers.draw_store import DrawStore
+from fmsync.samplers.base import SAMPLERS, Sampler, Target
 from fmsync.samplers.posterior import Posterior
 from fmsync.threads import single_threaded_blas
 
@@ -33,11 +31,17 @@ def sample(
     thin: int = 1,
     init: str | np.ndarray | Estimate = "spectral",
     prior: LangevinPrior | None = None,
+    kappa: float | str | None = None,
+    beta: float | None = None,
+    likelihood: str = "langevin",
+    energy: str = "euclidean",
     callback: Callback | None = None,
-    store: str | Path | None = "memory",
     **options: object,
 ) -> Posterior:
     r"""Draw the absolute maps from their posterior :math:`\propto\exp(-\beta U(C))`, all chains as one batch.
+
+    Warns with a :class:`~fmsync.diagnostics.ConvergenceWarning` when the energy or an inferred concentration has R-hat
+    above 1.01 or fewer than 400 effective draws, and raises a RuntimeError with a step to try when a chain diverges.
 
     Parameters
     ----------
@@ -47,10 +51,8 @@ def sample(
         A name of :func:`fmsync.samplers.methods`.
     rng
         Seed or generator: same seed, same draws.
-    n_chains
-        Chains, run as one batch.
-    n_draws
-        Draws kept of each chain.
+    n_chains, n_draws
+        Chains, run as one batch, and the draws kept of each.
     warmup
         Steps thrown away before the first draw.
     thin
@@ -61,13 +63,21 @@ def sample(
         or (chains, N, n, n); an :class:`~fmsync.Estimate` on the group.
     prior
         Langevin prior on the absolute maps; it fixes the gauge.
+    kappa, beta
+        Concentration of the observations, one of the two: κ = 2β, and β = 1, as in the paper, where neither is given.
+        ``"heat-bath"``, and ``"hmc"`` and ``"mala"`` with the Euclidean energy, infer κ instead, under a uniform prior
+        on [0, 1e5], when it is ``"auto"`` or neither is given.
+    likelihood
+        ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`, weights are
+        multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` alone:
+        :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
+        :math:`\log\sigma^2` uniform on [log 1e-5, log 10].
+    energy
+        ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
+        ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
     callback
         Called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where the chains
-        are: not rotations in an unconstrained chain. Do not change it. :mod:`fmsync.samplers.streaming` has
-        summaries to be used here.
-    store
-        Where draws go: ``"memory"``; a path ending in ``.npy``, written as they come and put in place when complete;
-        None, nowhere (energies and concentrations are kept), for runs of any length with a running summary.
+        are: not rotations in an unconstrained chain. Do not change it.
     options
         Passed to the sampler; an unknown option is refused with the list of known ones.
 
@@ -75,18 +85,6 @@ def sample(
     -------
     Posterior
         With fewer draws and ``interrupted`` set after Ctrl-C (which goes through if there is no draw yet).
-
-    Warns
-    -----
-    fmsync.diagnostics.ConvergenceWarning
-        R-hat of the energy or of an inferred noise level above 1.01, or fewer than 400 effective draws of them.
-
-    Raises
-    ------
-    ValueError
-        Unknown method or option, counts below one, a start of wrong shape or off the group (names the node).
-    RuntimeError
-        A chain diverged; the message names a step to try.
 
     Examples
     --------
@@ -97,65 +95,58 @@ def sample(
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
     kind, _ = SAMPLERS.find(method, options)
-    check_counts(n_chains=n_chains, n_draws=n_draws, warmup=warmup, thin=thin)
+    counts = {"n_chains": n_chains, "n_draws": n_draws, "thin": thin}
+    n_chains, n_draws, thin = (checks.count(name, count) for name, count in counts.items())
+    warmup = checks.count("warmup", warmup, least=0)
+    target = Target(problem, prior, kappa, beta, likelihood, energy)
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
-        start = starts(problem, init, n_chains, rng)
-        engine = kind(problem, start, rng, prior, **options)
-        draws = DrawStore(store, n_draws, engine.state.shape)
-        with draws:
-            energies, kappas = run_chains(engine, n_draws, warmup, thin, callback or no_callback, draws)
-    settings = {"warmup": int(warmup), "thin": int(thin), **engine.settings}
-    interrupted = energies.shape[1] < n_draws
-    post = Posterior(problem, method, draws.result, energies, kappas, interrupted, settings)
+        chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
+        absolute, energies, kappas = run_chains(chains, n_draws, warmup, thin, callback)
+    settings = {"warmup": warmup, "thin": thin, **chains.settings}
+    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
     warn_unless_converged(post)
     return post
 
 
-def check_counts(**counts: int) -> None:
-    """Refuse what is no integer, or too small: a warm-up may be left out, nothing else."""
-    for name, count in counts.items():
-        least = 0 if name == "warmup" else 1
-        if isinstance(count, bool) or int(count) != count or count < least:
-            raise ValueError(f"{name}: an integer >= {least}, got {count}")
-
-
 def run_chains(
-    engine: Sampler, n_draws: int, warmup: int, thin: int, callback: Callback, draws: DrawStore
-) -> tuple[np.ndarray, np.ndarray]:
-    """Energies and concentrations, each (K, T); the rotations go to ``draws``. T < n_draws after Ctrl-C."""
-    energies, kappas = np.empty((len(engine.state), n_draws)), np.empty((len(engine.state), n_draws))
+    chains: Sampler, n_draws: int, warmup: int, thin: int, callback: Callback | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotations (K, T, N, n, n), energies and concentrations (K, T); T < n_draws after Ctrl-C."""
+    n_chains = len(chains.state)
+    absolute = np.empty((n_chains, n_draws, *chains.state.shape[1:]))
+    energies, kappas = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
     done = 0
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
             for k in range(warmup):
-                engine.step(warming=True)
+                chains.step(warmup=True)
                 bar.update()
                 if (k + 1) % _CHECK_EVERY == 0:
-                    _check(engine)
+                    checked_energy(chains)
             while done < n_draws:
                 for _ in range(thin):
-                    engine.step(warming=False)
+                    chains.step(warmup=False)
                     bar.update()
-                energies[:, done] = _check(engine)
-                kappas[:, done] = engine.kappa
-                draws.put(done, engine.draw())
-                callback(done, engine.state, energies[:, done])
+                energies[:, done] = checked_energy(chains)
+                kappas[:, done] = chains.kappa
+                absolute[:, done] = chains.draw()
+                if callback is not None:
+                    callback(done, chains.state, energies[:, done])
                 done += 1
-                draws.done = done
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    return energies[:, :done], kappas[:, :done]
+    return absolute[:, :done], energies[:, :done], kappas[:, :done]
 
 
-def _check(engine: Sampler) -> np.ndarray:
+def checked_energy(chains: Sampler) -> np.ndarray:
     """Energies (K,) of the chains; a RuntimeError when one of them is where no sound chain goes."""
     with np.errstate(over="ignore", invalid="ignore"):  # a chain that blew up is told of below
-        energy = engine.energy()
-    bad = np.flatnonzero(~(energy <= engine.ceiling))
+        energy = chains.energy()
+    bad = np.flatnonzero(~(energy <= chains.ceiling))
     if bad.size:
-        raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {engine.advice}")
+        raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {chains.advice}")
     return energy
 
 
@@ -163,19 +154,15 @@ def starts(
     problem: SyncProblem, init: str | np.ndarray | Estimate, n_chains: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Rotations (K, N, n, n), one start for each chain."""
-    if isinstance(init, str) and init in ("random", "dispersed"):
-        starts = so.random_uniform(problem.n, (n_chains, problem.n_nodes), rng)
-        if init == "dispersed":
-            starts[::2] = solve(problem, "mle", rng=rng).absolute
-        return starts
-    if isinstance(init, str) and init != "spectral":
-        raise ValueError(f"init: 'spectral', 'random', 'dispersed', rotations or an Estimate, not {init!r}")
-    if not isinstance(init, str | Estimate) and np.ndim(init) == 4:
+    if isinstance(init, str):
+        checks.one_of("init", init, ("spectral", "random", "dispersed"))
+        if init != "spectral":
+            starts = so.random_uniform(problem.n, (n_chains, problem.n_nodes), rng)
+            if init == "dispersed":
+                starts[::2] = solve(problem, "mle", rng=rng).absolute
+            return starts
+    elif not isinstance(init, Estimate) and np.ndim(init) == 4:
         if len(init) != n_chains:
             raise ValueError(f"init: {len(init)} starts for {n_chains} chains")
         return np.stack([starting_point(problem, start, rng) for start in init])
     return np.stack([starting_point(problem, init, rng)] * n_chains)
-
-
-def no_callback(draw: int, state: np.ndarray, energy: np.ndarray) -> None:
-    """The callback of a caller who gave none."""

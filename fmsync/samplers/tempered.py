@@ -1,117 +1,99 @@
 """Replica exchange: hot copies carry a chain across the valleys that separate the modes of a posterior."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from fmsync.problem import LangevinPrior, SyncProblem
-from fmsync.samplers.base import concentration, sampler
+from fmsync import checks
+from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC, MALA
 
 _BASES = {"heat-bath": HeatBath, "hmc": HMC, "mala": MALA}
-_ROUND = 50  # steps of the warm-up between two spacings of the ladder
+_SPACE_EVERY = 50  # steps of the warm-up between two spacings of the ladder
 
 
 @sampler("tempered")
-class Tempered:
+class Tempered(Sampler):
     r"""Parallel tempering over κ around any of the exact samplers.
 
-    Each chain is a ladder of replicas at concentrations :math:`0 < \kappa_1 < \dots < \kappa_R = \kappa`. After every
-    step of all replicas neighbours exchange places with probability
+    Each chain is a temperature ladder of replicas, :math:`0 < \kappa_1 < \dots < \kappa_R = \kappa`. After every step
+    of all replicas neighbours exchange places with probability
     :math:`\min\{1, \exp((\kappa_r-\kappa_s)(U_r-U_s)/2)\}`, even and odd pairs in turn, far quicker than random
     pairs. In the warm-up the ladder is spaced for equal rejection along it (Syed, Bouchard-Côté, Deligiannidis & Doucet
     2022). The coldest replica is the draw.
 
     Parameters
     ----------
-    problem, start, rng, prior
-        As :func:`fmsync.sample` passes them; every replica begins at the start of its chain.
-    kappa, beta
-        Concentration of the observations, κ = 2β, β = 1 by default; it cannot be inferred here.
+    target, start, rng
+        As for every :class:`~fmsync.samplers.Sampler`; every replica begins at the start of its chain.
     base
         ``"heat-bath"``, ``"hmc"`` or ``"mala"``.
-    rungs
-        Replicas R >= 2 of a chain. Take more when ``settings["swaps"]`` falls below 0.2.
+    n_temperatures
+        Replicas R >= 2 of a chain. Take more when ``settings["swap_acceptance"]`` falls below 0.2.
     hottest
-        Concentration of the hottest replica as a share of κ, in (0, 1); by default 1e-3, nearly uniform maps.
-    energy
-        ``"euclidean"``, or ``"geodesic"`` with a gradient sampler as base.
-
-    Raises
-    ------
-    ValueError
-        ``kappa="auto"``, unknown choices, fewer than two rungs, ``hottest`` outside (0, 1).
+        Concentration of the hottest replica as a fraction of κ, in (0, 1); by default 1e-3, nearly uniform maps.
     """
 
     def __init__(
         self,
-        problem: SyncProblem,
+        target: Target,
         start: np.ndarray,
         rng: np.random.Generator,
-        prior: LangevinPrior | None = None,
         *,
-        kappa: float | None = None,
-        beta: float | None = None,
         base: str = "heat-bath",
-        rungs: int = 8,
+        n_temperatures: int = 8,
         hottest: float = 1e-3,
-        energy: str = "euclidean",
     ):
-        if base not in _BASES:
-            raise ValueError(f"base: {', '.join(map(repr, _BASES))}, not {base!r}")
-        if isinstance(rungs, bool) or int(rungs) != rungs or rungs < 2:
-            raise ValueError(f"rungs: an integer >= 2, got {rungs}")
-        if not 0 < hottest < 1:
-            raise ValueError(f"hottest: a share of kappa in (0, 1), got {hottest}")
-        self._coldest, self._rng, self._n_chains = concentration(kappa, beta), rng, len(start)
-        shares = np.concatenate([[hottest], np.linspace(0, 1, int(rungs))[1:]])
-        self._ladder = self._coldest * shares  # (R,), coldest last
-        copies = np.repeat(start, rungs, axis=0)  # replica r of chain k is number k R + r
-        self._engine = _BASES[base](problem, copies, rng, prior, kappa=self._coldest, energy=energy)
-        self._rung = np.tile(np.arange(rungs), (len(start), 1))  # (K, R): the rung of each replica
-        self._rejected, self._tried = np.zeros(rungs - 1), np.zeros(rungs - 1)
-        self._age, self._warming, self._trips = 0, True, np.zeros(len(start), dtype=int)
-        self._was_hottest = np.zeros(self._rung.shape, dtype=bool)
+        checks.one_of("base", base, _BASES)
+        n_temperatures = checks.count("n_temperatures", n_temperatures, least=2)
+        target.only("tempered", likelihood="langevin")
+        coldest, self._rng, self._n_chains = target.fixed_kappa(), rng, len(start)
+        fractions = np.linspace(0, 1, n_temperatures)
+        fractions[0] = checks.probability("hottest", hottest)
+        self._ladder = coldest * fractions  # (R,), coldest last
+        copies = np.repeat(start, n_temperatures, axis=0)  # replica r of chain k is number k R + r
+        self._replicas = _BASES[base](replace(target, kappa=coldest, beta=None), copies, rng)
+        self._place = np.tile(np.arange(n_temperatures), (len(start), 1))  # (K, R): of each replica on the ladder
+        self._rejected, self._tried = np.zeros(n_temperatures - 1), np.zeros(n_temperatures - 1)
+        self._age, self._in_warmup, self._round_trips = 0, True, np.zeros(len(start), dtype=int)
+        self._was_hottest = np.zeros(self._place.shape, dtype=bool)
         self._assign()
-        self.kappa = np.full(len(start), self._coldest)
-        self.ceiling, self.advice = np.full(len(start), np.inf), self._engine.advice
-        self._plain = {"base": base, "energy": energy}
+        self.kappa = np.full(len(start), coldest)
+        self._choices = {"base": base, "energy": target.energy}
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, the ladder, the share of exchanges made on the worst rung, round trips from hottest to coldest."""
-        swaps = 1 - (self._rejected / np.maximum(self._tried, 1)).max()
-        found = {"ladder": self._ladder.round(6).tolist(), "swaps": float(swaps), "trips": int(self._trips.sum())}
-        return self._plain | found
+        """Choices, the ladder, the least swap acceptance along it, and round trips from hottest to coldest."""
+        acceptance = 1 - (self._rejected / np.maximum(self._tried, 1)).max()
+        found = {"swap_acceptance": float(acceptance), "round_trips": int(self._round_trips.sum())}
+        return self._choices | {"ladder": self._ladder.round(6).tolist()} | found
 
     @property
     def state(self) -> np.ndarray:
         """(K, N, n, n) rotations of the coldest replicas."""
-        return self._engine.state[self._cold()]
-
-    def draw(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
-        return self.state
+        return self._replicas.state[self._cold()]
 
     def energy(self) -> np.ndarray:
         """(K,) energy of the coldest replicas."""
-        return self._engine.energy()[self._cold()]
+        return self._replicas.energy()[self._cold()]
 
-    def step(self, warming: bool) -> None:
-        """One step of all replicas, then exchanges along every ladder."""
-        if self._warming and not warming:
-            self._warming, self._rejected, self._tried = False, 0 * self._rejected, 0 * self._tried
-            self._trips[:] = 0
-        self._engine.step(warming)
-        self._exchange()
+    def step(self, warmup: bool) -> None:
+        """One step of all replicas, then swaps along every ladder."""
+        if self._in_warmup and not warmup:
+            self._in_warmup, self._rejected, self._tried = False, 0 * self._rejected, 0 * self._tried
+            self._round_trips[:] = 0
+        self._replicas.step(warmup)
+        self._swap()
         self._age += 1
-        if warming and self._age % _ROUND == 0:
+        if warmup and self._age % _SPACE_EVERY == 0:
             self._respace()
         self._assign()
 
-    def _exchange(self) -> None:
-        energy = self._engine.energy().reshape(self._rung.shape)
+    def _swap(self) -> None:
+        energy = self._replicas.energy().reshape(self._place.shape)
         chains = np.arange(self._n_chains)
-        at = np.argsort(self._rung, axis=1)  # (K, R): the replica on each rung
+        at = np.argsort(self._place, axis=1)  # (K, R): the replica on each place
         for r in range(self._age % 2, len(self._ladder) - 1, 2):
             lower, upper = at[:, r], at[:, r + 1]
             gain = (self._ladder[r + 1] - self._ladder[r]) / 2 * (energy[chains, upper] - energy[chains, lower])
@@ -119,21 +101,21 @@ class Tempered:
             self._rejected[r] += (1 - chance).sum()
             self._tried[r] += len(chance)
             swapped = chains[self._rng.random(len(chance)) < chance]
-            self._rung[swapped, lower[swapped]], self._rung[swapped, upper[swapped]] = r + 1, r
-        arrived = self._was_hottest & (self._rung == len(self._ladder) - 1)
-        self._trips += arrived.sum(axis=1)
-        self._was_hottest = (self._was_hottest & ~arrived) | (self._rung == 0)
+            self._place[swapped, lower[swapped]], self._place[swapped, upper[swapped]] = r + 1, r
+        arrived = self._was_hottest & (self._place == len(self._ladder) - 1)
+        self._round_trips += arrived.sum(axis=1)
+        self._was_hottest = (self._was_hottest & ~arrived) | (self._place == 0)
 
     def _respace(self) -> None:
-        """Put the rungs where the rejection summed from the hottest is the same between any two."""
+        """Put the temperatures where the rejection summed from the hottest is the same between any two."""
         rejection = np.where(self._tried > 0, self._rejected / np.maximum(self._tried, 1), 0.5)
         barrier = np.concatenate([[0], np.cumsum(np.maximum(rejection, 1e-3))])
         self._ladder = np.interp(np.linspace(0, barrier[-1], len(self._ladder)), barrier, self._ladder)
         self._rejected[:], self._tried[:] = 0, 0
 
     def _assign(self) -> None:
-        self._engine.set_kappa(self._ladder[self._rung].ravel())
+        self._replicas.set_kappa(self._ladder[self._place].ravel())
 
     def _cold(self) -> np.ndarray:
-        n_rungs = len(self._ladder)
-        return np.arange(self._n_chains) * n_rungs + np.argmax(self._rung, axis=1)
+        n_places = len(self._ladder)
+        return np.arange(self._n_chains) * n_places + np.argmax(self._place, axis=1)

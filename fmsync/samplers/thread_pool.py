@@ -1,4 +1,4 @@
-"""Threads for compiled loops that leave the interpreter: shares of one piece of work, the first done by the caller.
+"""Threads for compiled loops that leave the interpreter: parts of one piece of work, the first done by the caller.
 
 Plain threads rather than those of numba: its portable layer stops the process when two callers meet in it, and GNU
 OpenMP when it is used before and after a fork. How many is numba's own number, ``NUMBA_NUM_THREADS``, by default the
@@ -12,17 +12,17 @@ import numba
 import numpy as np
 
 
-class Crew:
+class ThreadPool:
     """Up to ``NUMBA_NUM_THREADS`` threads; they are started when first needed and end with the object."""
 
     def __init__(self) -> None:
         self.size: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
         self._pool: ThreadPoolExecutor | None = None
 
-    def share(self, work: Callable[[int, int], None], count: int) -> None:
+    def parallel_for(self, work: Callable[[int, int], None], count: int) -> None:
         """Call ``work(first, last)`` for parts of 0 .. count, at the same time.
 
-        Nobody is at work any more when it returns, nor when it is left by Ctrl-C.
+        No part is still running when it returns, nor when it is left by Ctrl-C.
         """
         parts = min(self.size, count)
         ends = np.arange(parts + 1) * count // max(parts, 1)

@@ -58,5 +58,5 @@ def test_errors_name_the_prior(planted, prior):
     problem, _ = planted(n_nodes=6)
     with pytest.raises(ValueError, match=r"prior.mean: expected \(6, 5, 5\)"):
         fmsync.solve(problem, "map", prior=prior)
-    with pytest.raises(ValueError, match="kappa: the concentration of the observations must be > 0, got -1"):
+    with pytest.raises(ValueError, match="kappa: must be finite and > 0, got -1"):
         fmsync.solve(planted()[0], "map", prior=prior, kappa=-1.0)

@@ -110,19 +110,15 @@ def test_equal_sizes_are_the_problem_on_orthogonal_matrices():
 
 def test_gauge_frames_and_trace():
     problem, _ = planted(noise=0.1)
-    seen = []
-    estimate = fmsync.solve_rectangular(problem, 7, callback=lambda k, c, cost, norm: seen.append(cost))
+    estimate = fmsync.solve_rectangular(problem, 7)
     np.testing.assert_allclose(estimate.absolute[0], np.eye(7, 4), atol=1e-12)
     for frame, size in zip(estimate.absolute, SIZES):
         assert frame.shape == (7, size)
         np.testing.assert_allclose(frame.T @ frame, np.eye(size), atol=1e-12)
-    np.testing.assert_array_equal(estimate.trace.cost, seen)
+    assert estimate.trace.cost[-1] == estimate.cost
+    assert (np.diff(estimate.trace.cost) <= 1e-12).all()
     again = fmsync.solve_rectangular(problem, 7)
     np.testing.assert_array_equal(again.absolute[3], estimate.absolute[3])
-    turn = fmsync.so.random_uniform(7, rng=3)
-    turned = fmsync.solve_rectangular(problem, 7, init=[turn @ frame for frame in estimate.absolute])
-    assert turned.n_iterations == 0
-    np.testing.assert_allclose(turned.cost, estimate.cost, rtol=1e-10)
 
 
 def test_stopping_early_is_said_aloud():
@@ -151,9 +147,5 @@ def test_bad_input_is_named():
     problem = build(2, [[0, 1]], [np.eye(5, 3)])
     with pytest.raises(ValueError, match="universe: 4 is smaller than the 5 basis functions of node 0"):
         fmsync.solve_rectangular(problem, 4)
-    with pytest.raises(ValueError, match="init: 'spectral', 'random' or one frame per node, not 'cold'"):
+    with pytest.raises(ValueError, match="init: 'spectral' or 'random', not 'cold'"):
         fmsync.solve_rectangular(problem, init="cold")
-    with pytest.raises(ValueError, match=r"init: node 1 needs a frame \(5, 3\), got \(5, 5\)"):
-        fmsync.solve_rectangular(problem, init=[np.eye(5)] * 2)
-    with pytest.raises(ValueError, match="init: the columns of node 0 are not orthonormal"):
-        fmsync.solve_rectangular(problem, init=[2 * np.eye(5), np.eye(5, 3)])

@@ -107,5 +107,5 @@ def test_without_outliers_the_mixture_is_maximum_likelihood(planted):
 
 
 def test_an_unknown_loss_is_refused(planted):
-    with pytest.raises(ValueError, match="loss: one of mixture, geman-mcclure, l1, not 'huber'"):
+    with pytest.raises(ValueError, match="loss: 'mixture' or 'geman-mcclure' or 'l1', not 'huber'"):
         fmsync.solve(planted()[0], "robust", loss="huber")

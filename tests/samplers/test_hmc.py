@@ -7,8 +7,9 @@ import data_gen
 import fmsync
 from fmsync import so
 from fmsync.energy import gradient
+from fmsync.samplers.base import Target
 from fmsync.samplers.hmc import HMC, DualAveraging
-from tests.samplers.laws import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
+from tests.samplers.helpers import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
 
 
 @pytest.mark.parametrize("integrator", ["cayley", "exp"])
@@ -18,7 +19,7 @@ def test_integrator_is_reversible(integrator, energy):
     start = so.random_uniform(5, (2, 6), rng)
     if energy == "geodesic":
         start = np.stack([fmsync.solve(p, "mle").absolute] * 2)
-    engine = HMC(p, start, rng, kappa=10.0, energy=energy, integrator=integrator, step=0.02)
+    engine = HMC(Target(p, kappa=10.0, energy=energy), start, rng, integrator=integrator, step=0.02)
     momentum = so.skew(rng.standard_normal(start.shape))
     end, arrived, (_, _, gradient) = engine.trajectory(start, momentum, engine.evaluate(start)[2], 20)
     assert np.abs(end - start).max() > 0.1
@@ -32,7 +33,7 @@ def test_integrator_keeps_the_energy_to_second_order():
     start, errors = so.random_uniform(5, (3, 6), rng), []
     momentum = so.skew(rng.standard_normal(start.shape))
     for step, count in ((0.02, 10), (0.01, 20), (0.005, 40)):
-        engine = HMC(p, start, rng, kappa=10.0, step=step)
+        engine = HMC(Target(p, kappa=10.0), start, rng, step=step)
         _, before, gradient = engine.evaluate(start)
         _, arrived, (_, after, _) = engine.trajectory(start, momentum, gradient, count)
         errors.append(np.abs(after - before + ((arrived**2).sum((1, 2, 3)) - (momentum**2).sum((1, 2, 3))) / 2))
@@ -45,7 +46,7 @@ def test_gradient_of_the_potential_by_differences(energy):
     p, rng = noisy(4, 4, sigma2=0.02), np.random.default_rng(2)
     c = fmsync.solve(p, "mle").absolute[None]
     prior = fmsync.LangevinPrior(so.random_uniform(4, 4, rng), [3.0, 0.0, 1.0, 2.0])
-    engine = HMC(p, c, rng, prior, kappa=7.0, energy=energy)
+    engine = HMC(Target(p, prior, kappa=7.0, energy=energy), c, rng)
     direction = so.skew(rng.standard_normal(c.shape))
     slope = (engine.evaluate(c)[2] * direction).sum()
     ends = [engine.evaluate(c @ so.exp(t * direction))[1][0] for t in (1e-5, -1e-5)]
@@ -154,13 +155,13 @@ def test_dual_averaging_finds_the_step():
 
 def test_nothing_is_adapted_after_the_warmup():
     p = noisy()
-    engine = HMC(p, so.random_uniform(4, (2, 5), rng=0), np.random.default_rng(0), kappa=5.0)
+    engine = HMC(Target(p, kappa=5.0), so.random_uniform(4, (2, 5), rng=0), np.random.default_rng(0))
     for _ in range(30):
-        engine.step(warming=True)
-    engine.step(warming=False)
+        engine.step(warmup=True)
+    engine.step(warmup=False)
     frozen = engine.settings["step"], engine.settings["n_steps"]
     for _ in range(30):
-        engine.step(warming=False)
+        engine.step(warmup=False)
     assert (engine.settings["step"], engine.settings["n_steps"]) == frozen
 
 
@@ -174,7 +175,7 @@ def test_nothing_is_adapted_after_the_warmup():
         ({"length": -1.0}, "length: must be finite and > 0"),
         ({"energy": "geodesic"}, "cannot be inferred"),
         ({"energy": "geodesic", "kappa": "auto"}, "cannot be inferred"),
-        ({"likelihood": "projected-gaussian"}, "no such option"),
+        ({"likelihood": "projected-gaussian"}, "likelihood: 'hmc' takes 'langevin' alone"),
     ],
 )
 def test_bad_options_are_named(options, message):

@@ -7,7 +7,7 @@ import data_gen
 import fmsync
 from fmsync import so
 from fmsync.samplers import plane_rotations, polar_factor, random_streams
-from tests.samplers.laws import mean_and_error
+from tests.samplers.helpers import mean_and_error
 
 
 def generator(seed=0):
@@ -15,11 +15,12 @@ def generator(seed=0):
 
 
 @pytest.mark.parametrize(("sigma2", "angle"), [(0.05, 0.3), (0.8, 1.2), (0.8, 3.0)])
-def test_stretches_of_one_edge_against_quadrature(sigma2, angle):
+def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     """n = 2: the density (p11 + p22) exp(-||P - A||²/2σ²) where p11 + p22 > 0, on a grid of three numbers."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    x = np.stack([np.eye(2), turn.T])
+    x = np.stack([np.eye(2), turn.T])[None]
     observed = so.exp(np.array([[[0.0, -0.2], [0.2, 0.0]]]))
+    start, edge, _, forward = fmsync.SyncProblem(2, [[0, 1]], observed).incidence
     centre = so.sym(observed[0].T @ turn)
 
     t = np.linspace(-6, 6, 161) * np.sqrt(sigma2)
@@ -28,27 +29,18 @@ def test_stretches_of_one_edge_against_quadrature(sigma2, angle):
     weight = np.maximum(a + b, 0) * np.exp(-distance / (2 * sigma2))
     weight /= weight.sum()
 
-    count, repeats, state = 500, 40, generator()
-    values = np.empty((repeats, count, 4))
-    vectors, eigenvalues, stretched = np.eye(2)[None].copy(), np.array([[1.2, 0.7]]), np.empty((1, 2, 2))
+    count, repeats = 500, 40
+    values, blocks, states = np.empty((repeats, count, 4)), np.empty((1, 8)), generator()[None]
+    vectors, eigenvalues = np.eye(2)[None, None].copy(), np.array([[[1.2, 0.7]]])
     for r in range(repeats):
         for t in range(count):
-            polar_factor.stretch_step(
-                x,
-                np.array([[0, 1]]),
-                observed,
-                vectors,
-                eigenvalues,
-                sigma2,
-                False,
-                plane_rotations.rounds(2),
-                t % 2,
-                stretched,
-                state,
-            )
-            p = observed[0].T @ stretched[0]
+            polar_factor.polar_factor_step(
+                x, vectors, eigenvalues, np.array([sigma2]), blocks, states, np.array([[0, 1]]), observed,
+                plane_rotations.rounds(2), t % 2, False, start, edge, forward,
+            )  # fmt: skip
+            p = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
             values[r, t] = p[0, 0], p[1, 1], p[0, 1], p[0, 0] * p[1, 1]
-            assert abs(p[0, 1] - p[1, 0]) < 1e-10
+            np.testing.assert_allclose(blocks[0, :4].reshape(2, 2), observed[0] @ p, atol=1e-12)  # as node 0 reads it
     for k, grid in enumerate((a, b, c, a * b)):
         mean, error = mean_and_error(values[..., k])
         assert abs(mean - (weight * grid).sum()) < 4.5 * error
@@ -67,7 +59,7 @@ def test_eigenvalues_of_many_dimensions_stay_in_the_region():
 
 
 @pytest.mark.parametrize(("n", "n_edges", "linear"), [(2, 3, 5.5), (3, 4, 11.0)])
-def test_level_and_scale_against_quadrature(n, n_edges, linear):
+def test_variance_and_scale_against_quadrature(n, n_edges, linear):
     """Fixed shapes P0: s^{E n² - 1} σ^{-E n²} exp(-(s² Q - 2 s L + c)/2σ²) ds d log σ², on a grid."""
     constant, dimension, quadratic = n_edges * n, n_edges * n * n, 1.1 * n_edges * n
     s, level = np.meshgrid(np.exp(np.linspace(-3, 4, 701)), np.exp(np.linspace(np.log(1e-5), np.log(10), 1201)))
@@ -80,7 +72,7 @@ def test_level_and_scale_against_quadrature(n, n_edges, linear):
     draws = np.empty((40, 500, 2))
     for r in range(40):
         for t in range(500):
-            sigma2, factor = polar_factor.draw_level(
+            sigma2, factor = polar_factor.draw_sigma2(
                 scale**2 * quadratic, scale * linear, constant, dimension, sigma2, state
             )
             scale *= factor
@@ -92,7 +84,7 @@ def test_level_and_scale_against_quadrature(n, n_edges, linear):
         assert error < 0.05
 
 
-def test_noise_level_of_the_papers_noise_is_found():
+def test_noise_variance_of_the_papers_noise_is_found():
     truth = data_gen.planted(8, 8, rng=0)
     p = data_gen.perturb(truth, 0.1, 1)
     post = fmsync.sample(p, "heat-bath", likelihood="projected-gaussian", n_draws=300, warmup=200, init="dispersed")
@@ -103,7 +95,7 @@ def test_noise_level_of_the_papers_noise_is_found():
     assert fmsync.diagnostics.rhat(post.sigma2) < 1.05
 
 
-def test_scale_moves_keep_the_noise_level_moving():
+def test_scale_moves_keep_the_noise_variance_moving():
     """Autocorrelation time of σ² below ten sweeps at the paper's size; 46 without moving scale and level together."""
     p = data_gen.perturb(data_gen.planted(11, 20, rng=0), 0.1, 1)
     post = fmsync.sample(p, "heat-bath", likelihood="projected-gaussian", n_chains=4, n_draws=300, warmup=150, rng=0)

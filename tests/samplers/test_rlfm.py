@@ -1,30 +1,16 @@
-"""The chain against laws known exactly; every threshold is a number of standard errors over independent chains."""
+"""The chain against distributions known exactly; thresholds are numbers of standard errors over independent chains."""
 
 import numpy as np
 import pytest
 from scipy.special import iv
 
 import bench.peers  # noqa: F401  registers the peers
-import data_gen
 import fmsync
 from fmsync import so
 from fmsync.energy import gradient
 from fmsync.estimators.mle_unconstrained import precision
 from fmsync.samplers.rlfm import default_step
-
-
-def one_edge(n):
-    return fmsync.SyncProblem(2, [[0, 1]], np.eye(n)[None])
-
-
-def noisy(n_nodes=5, n=4, sigma2=0.1, rng=0, **options):
-    return data_gen.perturb(data_gen.planted(n_nodes, n, rng=rng), sigma2, rng + 1, **options)
-
-
-def mean_and_error(values):
-    """Mean of (chains, draws) and its standard error from the spread of the chains' means."""
-    means = np.mean(values, axis=1)
-    return means.mean(), means.std(ddof=1) / np.sqrt(len(means))
+from tests.samplers.helpers import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
 
 
 def mean_trace_of_so3(kappa):
@@ -43,7 +29,7 @@ def mean_trace(n, kappa, multiple, rng, **options):
     return mean_and_error((p.constant - post.energy) / 2)
 
 
-@pytest.mark.parametrize(("kappa", "exact"), [(3, 3.0000), (10, 10.1674), (30, 16.8173)])
+@pytest.mark.parametrize(("kappa", "exact"), ONE_EDGE_OF_SO20)
 def test_one_edge_of_so20(kappa, exact):
     """Two step sizes extrapolated to h = 0 meet the exact mean; the printed sign does not come near it."""
     coarse, coarse_error = mean_trace(20, kappa, 1.0, rng=1)
@@ -236,7 +222,7 @@ def test_a_diverging_chain_stops_and_names_a_step_that_works(options):
     assert not post.interrupted
 
 
-def test_the_version_on_geomstats_operations_follows_the_same_law():
+def test_the_version_on_geomstats_operations_follows_the_same_distribution():
     """Same drift without noise (β large): same path; this also checks the drift against an edge-by-edge gradient."""
     p = noisy()
     start = so.random_uniform(p.n, p.n_nodes, rng=0)

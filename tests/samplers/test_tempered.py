@@ -7,8 +7,9 @@ import pytest
 import data_gen
 import fmsync
 from fmsync import so
+from fmsync.samplers.base import Target
 from fmsync.samplers.tempered import Tempered
-from tests.samplers.laws import mean_and_error, noisy, one_edge
+from tests.samplers.helpers import mean_and_error, noisy, one_edge
 
 KAPPA = 12.0
 
@@ -35,8 +36,8 @@ def test_the_modes_are_crossed(n, base):
     share, error = mean_and_error(turns_left(post))
     assert abs(share - 0.5) < 4 * error
     assert error < 0.1
-    assert post.settings["trips"] > 20
-    assert post.settings["swaps"] > 0.1
+    assert post.settings["round_trips"] > 20
+    assert post.settings["swap_acceptance"] > 0.1
     assert (post.kappa == KAPPA).all()
     np.testing.assert_allclose(post.energy, fmsync.energy.energy(p, post.absolute), atol=1e-8)
 
@@ -94,19 +95,19 @@ def test_few_landmarks_tip_the_odds_as_they_should():
     assert error < 0.03
 
 
-def test_energies_on_every_rung_are_those_of_their_temperature():
+def test_energies_at_every_temperature_are_those_of_their_temperature():
     """On one edge the exact mean trace is known at every concentration of the ladder."""
     p = one_edge(3)
     start = so.random_uniform(3, (20, 2), rng=0)
-    engine = Tempered(p, start, np.random.default_rng(1), kappa=10.0, rungs=4)
+    engine = Tempered(Target(p, kappa=10.0), start, np.random.default_rng(1), n_temperatures=4)
     for _ in range(100):
-        engine.step(warming=True)
+        engine.step(warmup=True)
     ladder, traces = np.array(engine.settings["ladder"]), []
     assert (np.diff(ladder) > 0).all()
     for _ in range(600):
-        engine.step(warming=False)
-        energy = engine._engine.energy().reshape(20, 4)
-        traces.append(np.take_along_axis((p.constant - energy) / 2, np.argsort(engine._rung, axis=1), axis=1))
+        engine.step(warmup=False)
+        energy = engine._replicas.energy().reshape(20, 4)
+        traces.append(np.take_along_axis((p.constant - energy) / 2, np.argsort(engine._place, axis=1), axis=1))
     for r, kappa in enumerate(ladder):
         mean, error = mean_and_error(np.array(traces)[:, :, r].T)
         assert abs(mean - 3 * fmsync.langevin.mean_cosine(3, kappa)) < 4 * error
@@ -117,11 +118,11 @@ def test_energies_on_every_rung_are_those_of_their_temperature():
     ("options", "message"),
     [
         ({"base": "rlfm"}, "base"),
-        ({"rungs": 1}, "rungs"),
+        ({"n_temperatures": 1}, "n_temperatures"),
         ({"hottest": 1.0}, "hottest"),
         ({"kappa": 0.0}, "kappa: must be finite and > 0"),
         ({"kappa": "auto"}, "does not infer"),
-        ({"energy": "geodesic"}, "'heat-bath' needs the Euclidean energy"),
+        ({"energy": "geodesic"}, "'heat-bath' takes 'euclidean' alone"),
     ],
 )
 def test_bad_options_are_named(options, message):

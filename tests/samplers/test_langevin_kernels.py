@@ -22,16 +22,14 @@ def test_langevin_tangents_agree_with_the_formula():
     c, sums, noise = so.random_uniform(5, 7, rng), rng.standard_normal((7, 5, 5)), rng.standard_normal((7, 10))
     w = np.zeros((7, 5, 5))
     w[:, *np.triu_indices(5, 1)] = noise / np.sqrt(2)
-    drift, spread = rng.random((2, 7))
-    expected = 2 * drift[:, None, None] * so.skew(so.transpose(c) @ sums) + spread[:, None, None] * (
-        w - so.transpose(w)
-    )
-    np.testing.assert_allclose(langevin_kernels.langevin_tangents(c, sums, noise, drift, spread), expected, atol=1e-14)
+    drift, scale = rng.random(2)
+    expected = 2 * drift * so.skew(so.transpose(c) @ sums) + scale * (w - so.transpose(w))
+    np.testing.assert_allclose(langevin_kernels.langevin_tangents(c, sums, noise, drift, scale), expected, atol=1e-14)
 
 
-def test_polish_squares_the_distance_from_the_group():
+def test_reorthonormalising_squares_the_distance_from_the_group():
     rng = np.random.default_rng(2)
     rough = so.random_uniform(6, 4, rng) + 1e-5 * rng.standard_normal((4, 6, 6))
-    polished = langevin_kernels.polish(rough)
-    assert np.abs(so.transpose(polished) @ polished - np.eye(6)).max() < 1e-8
-    assert np.abs(polished - so.project(rough)).max() < 1e-8
+    repaired = langevin_kernels.reorthonormalised(rough)
+    assert np.abs(so.transpose(repaired) @ repaired - np.eye(6)).max() < 1e-8
+    assert np.abs(repaired - so.project(rough)).max() < 1e-8

@@ -1,4 +1,4 @@
-r"""The noise level as an unknown: the concentration κ drawn given the maps, exactly, with its normaliser.
+r"""The concentration κ as a hyperparameter: drawn given the maps, exactly, with its normaliser.
 
 Given the maps, :math:`p(\kappa)\propto\exp(\kappa T - E\log c_n(\kappa))` on [0, 1e5], the prior being uniform,
 :math:`T=\sum w\operatorname{tr}(C_{ij}^\top C_i^\top C_j)` and E the sum of the multiplicities w. The normaliser comes
@@ -12,10 +12,7 @@ import numba
 import numpy as np
 
 from fmsync import langevin
-from fmsync.energy import energy
-from fmsync.estimators.solve import solve
-from fmsync.problem import LangevinPrior, SyncProblem, check_rotations
-from fmsync.samplers.base import concentration
+from fmsync.samplers.base import Target
 from fmsync.samplers.random_streams import uniform
 
 LARGEST_KAPPA = 1e5
@@ -44,7 +41,7 @@ def normaliser_table(n: int) -> np.ndarray:
 def interpolated_log_normaliser(kappa: float, table: np.ndarray) -> float:
     """log c_n(κ) from the table of n, with a relative error below 1e-8."""
     knots = table.shape[1]
-    width = np.log1p(100000.0) / (knots - 1)
+    width = np.log1p(LARGEST_KAPPA) / (knots - 1)
     u = np.log1p(kappa) / width
     k = min(int(u), knots - 2)
     t = u - k
@@ -66,9 +63,9 @@ def draw_kappa(kappa: float, trace: float, count: float, n: int, table: np.ndarr
         high = low + width
         while low > 0 and low * trace - count * interpolated_log_normaliser(low, table) > level:
             low -= width
-        while high < 1e5 and high * trace - count * interpolated_log_normaliser(high, table) > level:
+        while high < LARGEST_KAPPA and high * trace - count * interpolated_log_normaliser(high, table) > level:
             high += width
-        low, high = max(low, 0.0), min(high, 1e5)
+        low, high = max(low, 0.0), min(high, LARGEST_KAPPA)
         while True:
             new = low + (high - low) * uniform(state)
             if new * trace - count * interpolated_log_normaliser(new, table) >= level:
@@ -82,52 +79,16 @@ def draw_kappa(kappa: float, trace: float, count: float, n: int, table: np.ndarr
 
 
 class Concentration:
-    """κ of every chain: a number that stays, or inferred with the maps (``kappa="auto"``, which is the default).
+    """κ of every chain: a number that stays, or inferred with the maps where the target gives none."""
 
-    Raises ValueError where κ cannot be inferred: a forest without repeated edges (there the observations are met
-    exactly by some maps, whatever their noise), or observations off the group.
-    """
-
-    def __init__(
-        self,
-        problem: SyncProblem,
-        prior: LangevinPrior | None,
-        kappa: float | str | None,
-        beta: float | None,
-        n_chains: int,
-        rng: np.random.Generator,
-    ):
-        if isinstance(kappa, str) and kappa != "auto":
-            raise ValueError(f"kappa: a number > 0 or 'auto', not {kappa!r}")
-        self.inferred = beta is None and (kappa is None or kappa == "auto")
-        if self.inferred:
-            check_identified(problem, prior, "kappa")
-            check_rotations(problem.maps, "maps (node = edge)")
-            self._table = normaliser_table(problem.n)
-            self.value = np.full(n_chains, matched_to_spectral(problem, rng))
-        else:
-            self.value = np.full(n_chains, concentration(kappa, beta))
-        self._n, self._count = problem.n, float(problem.weights.sum())
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        self.inferred = not isinstance(target.kappa, float)
+        value = target.matched_kappa("kappa", rng) if self.inferred else target.fixed_kappa()
+        self.value = np.full(n_chains, value)
+        self._n, self._count = target.problem.n, float(target.problem.weights.sum())
+        self._table = normaliser_table(self._n) if self.inferred else np.empty((2, 0))
 
     def update(self, traces: np.ndarray, states: np.ndarray) -> None:
-        """Draw κ of every chain given T (K,); states (K, 4) generators."""
+        """Draw κ of every chain given T (K,); states (K, 4, 8) generators."""
         for k, trace in enumerate(traces):
             self.value[k] = draw_kappa(self.value[k], trace, self._count, self._n, self._table, states[k])
-
-
-def check_identified(problem: SyncProblem, prior: LangevinPrior | None, name: str) -> None:
-    """Raise a ValueError unless some loop, of edges or through the prior, contradicts itself when there is noise."""
-    held, nodes = (0, problem.n_nodes) if prior is None else (int((prior.kappa > 0).sum()), problem.n_nodes + 1)
-    if problem.n_edges + held < nodes:
-        raise ValueError(
-            f"{name}: a tree without repeated edges says nothing about its noise level, every observation can be met "
-            f"exactly; give {name} a value, or add observations"
-        )
-
-
-def matched_to_spectral(problem: SyncProblem, rng: np.random.Generator) -> float:
-    """The κ whose mean cosine is that of the observations around the spectral estimate: where chains begin."""
-    absolute = solve(problem, "spectral", rng=rng).absolute
-    trace = (problem.constant - energy(problem, absolute)) / 2
-    cosine = trace / (problem.n * problem.weights.sum())
-    return max(langevin.matched_kappa(problem.n, min(cosine, 1 - 1e-3)), 0.1)
