@@ -238,7 +238,7 @@ def test_calibration_error_by_hand():
 
 
 def test_too_few_draws_are_refused():
-    with pytest.raises(ValueError, match="energy score"):
+    with pytest.raises(ValueError, match="draws: need at least two"):
         calibration.energy_score(np.zeros((1, 1, 2, 2)), np.zeros((1, 2, 2)))
     with pytest.raises(ValueError, match="four"):
         calibration.covered(np.zeros((3, 1, 2, 2)), np.zeros((1, 2, 2)), [0.5])
