@@ -88,7 +88,14 @@ class Concentration:
         self._n, self._count = target.problem.n, float(target.problem.weights.sum())
         self._table = normaliser_table(self._n) if self.inferred else np.empty((2, 0))
 
-    def update(self, traces: np.ndarray, states: np.ndarray) -> None:
-        """Draw κ of every chain given T (K,); states (K, 4, 8) generators."""
-        for k, trace in enumerate(traces):
-            self.value[k] = draw_kappa(self.value[k], trace, self._count, self._n, self._table, states[k])
+    def update(self, traces: np.ndarray, states: np.ndarray, powers: np.ndarray) -> None:
+        """Draw κ of every chain given T (K,); states (K, 4, 8) generators, powers (K,) of the likelihood."""
+        for k, (trace, b) in enumerate(zip(traces, powers)):
+            self.value[k] = draw_kappa(self.value[k], b * trace, b * self._count, self._n, self._table, states[k])
+
+    def log_likelihood(self, traces: np.ndarray) -> np.ndarray:
+        """(K,) κ T, and where κ is inferred - E log c_n(κ)."""
+        if not self.inferred:
+            return self.value * traces
+        normaliser = np.array([interpolated_log_normaliser(kappa, self._table) for kappa in self.value])
+        return self.value * traces - self._count * normaliser

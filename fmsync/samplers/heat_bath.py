@@ -51,6 +51,7 @@ class HeatBath(Sampler):
         self._order, self._colours = plane_rotations.colours(start_of, self._other)
         self._gains = np.empty(start.shape[:2])
         self._heavy = self._gains.size * problem.n**2 * (problem.n + 30) > _WORTH_THREADS
+        self.inverse_temperature = np.ones(len(start))
         self._polar_factors: PolarFactors | None = None
         if target.likelihood == "langevin":
             self._concentration = Concentration(target, len(start), rng)
@@ -85,28 +86,40 @@ class HeatBath(Sampler):
         """One sweep of every chain, after a draw of what is unknown beside the maps."""
         moving = not (warmup and self._age < _BURN_IN)
         if self._polar_factors is not None:
-            self._polar_factors.step(self._x, self._states, moving, self._over_chains)
+            powers = self.inverse_temperature
+            self._polar_factors.step(self._x, self._states, moving, self._over_chains, powers)
             self.kappa = 1 / self._polar_factors.sigma2
         elif self._concentration.inferred and moving:
-            self._concentration.update(self._traces, self._states)
+            self._concentration.update(self._traces, self._states, self.inverse_temperature)
         self._sweep()
         self._traces += self._gains.sum(axis=1)
         self._age += 1
         if self._age % _REPAIR_EVERY == 0:
             self._refresh()
 
-    def set_kappa(self, kappa: np.ndarray) -> None:
-        """Other concentrations (K,), when they are not inferred."""
-        self.kappa[:] = kappa
+    def log_likelihood(self) -> np.ndarray:
+        r"""(K,) the part of the log-likelihood that :meth:`set_temperature` multiplies, up to a constant.
+
+        All of it for the Langevin likelihood; for projected noise the coupling of maps and observations,
+        :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and σ² proper.
+        """
+        if self._polar_factors is None:
+            return self._concentration.log_likelihood(self._traces)
+        return self._polar_factors.coupling(self._x)
+
+    def set_temperature(self, inverse: np.ndarray) -> None:
+        """Powers (K,) of the likelihood, or for projected noise of the coupling."""
+        self.inverse_temperature[:] = inverse
 
     def _sweep(self) -> None:
         """Every node of every chain: chains side by side, or the nodes of one colour when chains are too few."""
         n_chains, order = len(self._x), self._order
+        kappa = self.inverse_temperature * self.kappa
 
         def sweep(chains: slice, nodes: np.ndarray) -> None:
             blocks = self._blocks if len(self._blocks) == 1 else self._blocks[chains]
             plane_rotations.sweep(
-                self._x[chains], blocks, self._start_of, self._other, self._field, self.kappa[chains], self._over,
+                self._x[chains], blocks, self._start_of, self._other, self._field, kappa[chains], self._over,
                 self._planes, nodes, self._streams[chains], self._gains[chains],
             )  # fmt: skip
 

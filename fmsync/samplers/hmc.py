@@ -37,7 +37,11 @@ class HMC(Sampler):
         2014), towards 80 % acceptance, and then frozen.
     length
         Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
-        :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`. Every trajectory takes 50 to 150 % of it.
+        :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`; without a warm-up from the mean degree. Every
+        trajectory takes 50 to 150 % of it.
+
+    What the warm-up adapts is frozen before the first step after it: a length that followed the state would make the
+    kernel inexact.
     """  # noqa: E501
 
     _target = 0.8
@@ -70,11 +74,15 @@ class HMC(Sampler):
         self._field = so.transpose(target.field)  # κ_i M_i, or empty
         self._concentration = Concentration(target, len(start), rng)
         self.kappa = self._concentration.value
+        self.inverse_temperature = np.ones(len(start))
         self._states = generators(rng, len(start))  # for κ
         first = 0.5 / np.sqrt(self.kappa * problem.degrees.max() + problem.n) if step is None else step
         self._adapting, self._averaging = step is None, DualAveraging(np.full(len(start), first), self._target)
         self._step = self._averaging.step
-        self._length, self._squares, self._weight = length, np.zeros(len(start)), 0.0
+        n = problem.n
+        # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient, which has n² entries
+        self._length, self._squares = length, (self.kappa * problem.degrees.mean() + 1) * (n - 1) / (2 * n)  # (K,)
+        self._weight = 0.0  # of what the warm-up saw
         self._c, self._age = np.ascontiguousarray(start), 0
         self._accepted, self._tried = 0.0, 0
         self.refresh()
@@ -101,6 +109,8 @@ class HMC(Sampler):
 
     def step(self, warmup: bool) -> None:
         """One trajectory of every chain, and a draw of κ where it is inferred."""
+        if self._adapting and not warmup:
+            self._step, self._adapting = self._averaging.average, False
         momentum = so.skew(self._rng.standard_normal(self._c.shape))
         count = self._n_steps(self._rng.uniform(0.5, 1.5))
         c, p, (observed, potential, gradient) = self.trajectory(self._c, momentum, self._gradient, count)
@@ -115,11 +125,9 @@ class HMC(Sampler):
         if warmup:
             self._adapt(chance)
         else:
-            if self._adapting:
-                self._step, self._adapting = self._averaging.average, False
             self._accepted, self._tried = self._accepted + float(chance.mean()), self._tried + 1
         if self._concentration.inferred and not (warmup and self._age < _BURN_IN):
-            self._concentration.update((self._problem.constant - self._observed) / 2, self._states)
+            self._concentration.update(self._traces(), self._states, self.inverse_temperature)
             self.refresh()
         if self._age % _REPAIR_EVERY == 0:
             self._c = langevin_kernels.reorthonormalised(self._c)
@@ -147,8 +155,8 @@ class HMC(Sampler):
         else:
             observed = geodesic_energy(self._problem, c)
             gradient = geodesic_gradient(self._problem, c)
-        potential = self.kappa / 2 * observed
-        gradient = self.kappa[:, None, None, None] / 2 * gradient
+        half = self.inverse_temperature * self.kappa / 2
+        potential, gradient = half * observed, half[:, None, None, None] * gradient
         if len(self._field):
             potential = potential - np.einsum("kiab,iab->k", c, self._field)
             gradient = gradient - so.skew(so.transpose(c) @ self._field)
@@ -158,10 +166,19 @@ class HMC(Sampler):
         """Evaluate again where the chains are: the temperature or the rounding has changed."""
         self._observed, self._potential, self._gradient = self.evaluate(self._c)
 
-    def set_kappa(self, kappa: np.ndarray) -> None:
-        """Other concentrations (K,), when they are not inferred."""
-        self.kappa[:] = kappa
+    def log_likelihood(self) -> np.ndarray:
+        """(K,) logarithm of the likelihood of maps and κ, up to a constant."""
+        if self._euclidean:
+            return self._concentration.log_likelihood(self._traces())
+        return -self.kappa / 2 * self._observed
+
+    def set_temperature(self, inverse: np.ndarray) -> None:
+        """Raise the likelihood of each chain to a power (K,)."""
+        self.inverse_temperature[:] = inverse
         self.refresh()
+
+    def _traces(self) -> np.ndarray:
+        return (self._problem.constant - self._observed) / 2
 
     def _move(self, c: np.ndarray, omega: np.ndarray) -> np.ndarray:
         if not self._exp:
@@ -171,17 +188,17 @@ class HMC(Sampler):
         return moved.reshape(c.shape)
 
     def _n_steps(self, fraction: float) -> int:
-        mean_square = self._squares / self._weight if self._weight else (self._gradient**2).mean((1, 2, 3))
-        n = self._problem.n  # mean curvature = mean square of one of the n(n-1)/2 coordinates of the gradient
-        adapted = np.pi / 2 / np.sqrt(np.maximum(mean_square * 2 * n / (n - 1), 1e-12))
+        n = self._problem.n
+        adapted = np.pi / 2 / np.sqrt(np.maximum(self._squares * 2 * n / (n - 1), 1e-12))
         length = adapted if self._length is None else self._length
         return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
 
     def _adapt(self, chance: np.ndarray) -> None:
         if self._adapting:
             self._step = self._averaging.update(chance)
-        self._squares = 0.95 * self._squares + (self._gradient**2).mean((1, 2, 3))
+        seen = (self._gradient**2).mean((1, 2, 3))
         self._weight = 0.95 * self._weight + 1
+        self._squares = self._squares + (seen - self._squares) / self._weight
 
 
 @sampler("mala")
@@ -197,6 +214,17 @@ class MALA(HMC):
     """
 
     _target = 0.574
+
+    def __init__(
+        self,
+        target: Target,
+        start: np.ndarray,
+        rng: np.random.Generator,
+        *,
+        integrator: str = "cayley",
+        step: float | None = None,
+    ):
+        super().__init__(target, start, rng, integrator=integrator, step=step)
 
     def _n_steps(self, fraction: float) -> int:
         return 1

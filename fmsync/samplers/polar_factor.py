@@ -48,8 +48,18 @@ class PolarFactors:
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Callable[[Work, int], None]) -> None:
-        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks."""
+    def step(
+        self,
+        x: np.ndarray,
+        states: np.ndarray,
+        infer: bool,
+        over_chains: Callable[[Work, int], None],
+        powers: np.ndarray,
+    ) -> None:
+        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks.
+
+        The coupling of maps and observations, tr(Mᵀ C_iᵀ C_j)/σ², is multiplied by ``powers`` (K,).
+        """
         p = self._problem
         start, edge, _, forward = p.incidence
         self._age += 1
@@ -59,11 +69,19 @@ class PolarFactors:
         def some(first: int, last: int) -> None:
             own = slice(first, last)
             polar_factor_step(
-                x[own], self._vectors[own], self._values[own], self.sigma2[own], self.blocks[own], states[own],
-                p.edges, p.maps, planes, parity, infer, start, edge, forward,
+                x[own], self._vectors[own], self._values[own], self.sigma2[own], powers[own], self.blocks[own],
+                states[own], p.edges, p.maps, planes, parity, infer, start, edge, forward,
             )  # fmt: skip
 
         over_chains(some, len(x))
+
+    def coupling(self, x: np.ndarray) -> np.ndarray:
+        """(K,) Σ tr(Mᵀ C_iᵀ C_j)/σ² of transposed maps x (K, N, n, n), M the unprojected observations C_ij P."""
+        i, j = self._problem.edges.T
+        relative = x[:, i] @ np.swapaxes(x[:, j], -1, -2)
+        against = np.swapaxes(self._problem.maps, -1, -2) @ relative
+        polar = np.swapaxes(self._vectors, -1, -2) * self._values[..., None, :] @ self._vectors
+        return np.einsum("keab,keab->k", polar, against) / self.sigma2
 
 
 @numba.njit(cache=True, nogil=True)
@@ -72,6 +90,7 @@ def polar_factor_step(
     vectors: np.ndarray,
     values: np.ndarray,
     sigma2: np.ndarray,
+    powers: np.ndarray,
     blocks: np.ndarray,
     states: np.ndarray,
     edges: np.ndarray,
@@ -101,7 +120,7 @@ def polar_factor_step(
             np.dot(maps[e].T, relative, product)
             for a in range(n):
                 for b in range(n):
-                    centre[a, b] = (product[a, b] + product[b, a]) / 2
+                    centre[a, b] = powers[k] * (product[a, b] + product[b, a]) / 2
             np.dot(vectors[k, e], centre, product)
             for a in range(n):
                 diagonal[a] = 0.0

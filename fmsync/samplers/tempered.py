@@ -1,7 +1,5 @@
 """Replica exchange: hot copies carry a chain across the valleys that separate the modes of a posterior."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from fmsync import checks
@@ -15,13 +13,14 @@ _SPACE_EVERY = 50  # steps of the warm-up between two spacings of the ladder
 
 @sampler("tempered")
 class Tempered(Sampler):
-    r"""Parallel tempering over κ around any of the exact samplers.
+    r"""Parallel tempering around any of the exact samplers, for every likelihood, with κ or σ² inferred or given.
 
-    Each chain is a temperature ladder of replicas, :math:`0 < \kappa_1 < \dots < \kappa_R = \kappa`. After every step
-    of all replicas neighbours exchange places with probability
-    :math:`\min\{1, \exp((\kappa_r-\kappa_s)(U_r-U_s)/2)\}`, even and odd pairs in turn, far quicker than random
+    Each chain is a ladder of replicas at inverse temperatures :math:`0 < b_1 < \dots < b_R = 1`, the powers to which
+    the likelihood L of each is raised, its normaliser included. After every step of all replicas neighbours exchange
+    places with probability :math:`\min\{1, (L_s/L_r)^{b_r-b_s}\}`, even and odd pairs in turn, far quicker than random
     pairs. In the warm-up the ladder is spaced for equal rejection along it (Syed, Bouchard-Côté, Deligiannidis & Doucet
-    2022). The coldest replica is the draw.
+    2022). The coldest replica is the draw. Under projected noise L is the coupling of maps and observations alone, so
+    that the latent polar factors have a proper distribution at every temperature.
 
     Parameters
     ----------
@@ -32,7 +31,7 @@ class Tempered(Sampler):
     n_temperatures
         Replicas R >= 2 of a chain. Take more when ``settings["swap_acceptance"]`` falls below 0.2.
     hottest
-        Concentration of the hottest replica as a fraction of κ, in (0, 1); by default 1e-3, nearly uniform maps.
+        Inverse temperature of the hottest replica, in (0, 1); by default 1e-3, nearly uniform maps.
     """
 
     def __init__(
@@ -47,27 +46,33 @@ class Tempered(Sampler):
     ):
         checks.one_of("base", base, _BASES)
         n_temperatures = checks.count("n_temperatures", n_temperatures, least=2)
-        target.only("tempered", likelihood="langevin")
-        coldest, self._rng, self._n_chains = target.fixed_kappa(), rng, len(start)
-        fractions = np.linspace(0, 1, n_temperatures)
-        fractions[0] = checks.probability("hottest", hottest)
-        self._ladder = coldest * fractions  # (R,), coldest last
+        self._rng, self._n_chains = rng, len(start)
+        self._ladder = np.linspace(0, 1, n_temperatures)  # (R,) inverse temperatures, coldest last
+        self._ladder[0] = checks.probability("hottest", hottest)
         copies = np.repeat(start, n_temperatures, axis=0)  # replica r of chain k is number k R + r
-        self._replicas = _BASES[base](replace(target, kappa=coldest, beta=None), copies, rng)
+        self._replicas = _BASES[base](target, copies, rng)
         self._place = np.tile(np.arange(n_temperatures), (len(start), 1))  # (K, R): of each replica on the ladder
         self._rejected, self._tried = np.zeros(n_temperatures - 1), np.zeros(n_temperatures - 1)
         self._age, self._in_warmup, self._round_trips = 0, True, np.zeros(len(start), dtype=int)
         self._was_hottest = np.zeros(self._place.shape, dtype=bool)
         self._assign()
-        self.kappa = np.full(len(start), coldest)
-        self._choices = {"base": base, "energy": target.energy}
+        self._choices: dict[str, object] = {"base": base, "energy": target.energy, "likelihood": target.likelihood}
 
     @property
     def settings(self) -> dict[str, object]:
         """Choices, the ladder, the least swap acceptance along it, and round trips from hottest to coldest."""
         acceptance = 1 - (self._rejected / np.maximum(self._tried, 1)).max()
-        found = {"swap_acceptance": float(acceptance), "round_trips": int(self._round_trips.sum())}
-        return self._choices | {"ladder": self._ladder.round(6).tolist()} | found
+        return self._choices | {
+            "kappa_inferred": self._replicas.settings["kappa_inferred"],
+            "ladder": self._ladder.round(6).tolist(),
+            "swap_acceptance": float(acceptance),
+            "round_trips": int(self._round_trips.sum()),
+        }
+
+    @property
+    def kappa(self) -> np.ndarray:  # type: ignore[override]
+        """(K,) concentrations of the coldest replicas."""
+        return self._replicas.kappa[self._cold()]
 
     @property
     def state(self) -> np.ndarray:
@@ -91,12 +96,12 @@ class Tempered(Sampler):
         self._assign()
 
     def _swap(self) -> None:
-        energy = self._replicas.energy().reshape(self._place.shape)
+        likelihood = self._replicas.log_likelihood().reshape(self._place.shape)
         chains = np.arange(self._n_chains)
         at = np.argsort(self._place, axis=1)  # (K, R): the replica on each place
         for r in range(self._age % 2, len(self._ladder) - 1, 2):
             lower, upper = at[:, r], at[:, r + 1]
-            gain = (self._ladder[r + 1] - self._ladder[r]) / 2 * (energy[chains, upper] - energy[chains, lower])
+            gain = (self._ladder[r + 1] - self._ladder[r]) * (likelihood[chains, lower] - likelihood[chains, upper])
             chance = np.exp(np.clip(gain, -700, 0))
             self._rejected[r] += (1 - chance).sum()
             self._tried[r] += len(chance)
@@ -114,7 +119,7 @@ class Tempered(Sampler):
         self._rejected[:], self._tried[:] = 0, 0
 
     def _assign(self) -> None:
-        self._replicas.set_kappa(self._ladder[self._place].ravel())
+        self._replicas.set_temperature(self._ladder[self._place].ravel())
 
     def _cold(self) -> np.ndarray:
         n_places = len(self._ladder)

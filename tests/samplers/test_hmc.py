@@ -5,6 +5,7 @@ import pytest
 
 import data_gen
 import fmsync
+from data_gen.langevin import langevin_noise
 from fmsync import so
 from fmsync.energy import gradient
 from fmsync.samplers.base import Target
@@ -181,3 +182,35 @@ def test_nothing_is_adapted_after_the_warmup():
 def test_bad_options_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         fmsync.sample(noisy(), "hmc", **options)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("hmc", {"step": 0.35}), ("hmc", {}), ("mala", {"step": 0.5}), ("mala", {}), ("heat-bath", {})],
+)
+def test_chains_from_exact_draws_stay_exact_without_a_warm_up(method, options):
+    """Nothing that is tuned may follow the state: a path length that did gave 2.520 with a step of .35."""
+    kappa, n_chains, rng = 3.0, 10_000, np.random.default_rng(0)
+    p, start = one_edge(3), np.empty((n_chains, 2, 3, 3))
+    start[:, 0] = np.eye(3)
+    start[:, 1] = langevin_noise(3, kappa, n_chains, rng)
+    post = fmsync.sample(
+        p, method, kappa=kappa, init=start, n_chains=n_chains, n_draws=6, warmup=0, thin=2, rng=1, **options
+    )
+    trace = (p.constant - post.energy) / 2
+    exact = 3 * fmsync.langevin.mean_cosine(3, kappa)
+    assert exact == pytest.approx(2.4701, abs=1e-4)
+    for draws in trace.T:
+        assert abs(draws.mean() - exact) < 4 * draws.std() / np.sqrt(n_chains)
+
+
+@pytest.mark.parametrize("warmup", [0, 30])
+def test_step_and_length_are_frozen_before_the_first_kept_draw(warmup):
+    chains = HMC(Target(noisy(), kappa=5.0), so.random_uniform(4, (3, 5), rng=0), np.random.default_rng(1))
+    for _ in range(warmup):
+        chains.step(warmup=True)
+    tuned = []
+    for _ in range(20):
+        chains.step(warmup=False)
+        tuned.append((chains.settings["step"], chains.settings["n_steps"]))
+    assert len(set(tuned)) == 1

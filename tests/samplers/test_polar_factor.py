@@ -35,7 +35,7 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     for r in range(repeats):
         for t in range(count):
             polar_factor.polar_factor_step(
-                x, vectors, eigenvalues, np.array([sigma2]), blocks, states, np.array([[0, 1]]), observed,
+                x, vectors, eigenvalues, np.array([sigma2]), np.ones(1), blocks, states, np.array([[0, 1]]), observed,
                 plane_rotations.rounds(2), t % 2, False, start, edge, forward,
             )  # fmt: skip
             p = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]

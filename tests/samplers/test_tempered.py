@@ -108,7 +108,7 @@ def test_energies_at_every_temperature_are_those_of_their_temperature():
         engine.step(warmup=False)
         energy = engine._replicas.energy().reshape(20, 4)
         traces.append(np.take_along_axis((p.constant - energy) / 2, np.argsort(engine._place, axis=1), axis=1))
-    for r, kappa in enumerate(ladder):
+    for r, kappa in enumerate(10.0 * ladder):
         mean, error = mean_and_error(np.array(traces)[:, :, r].T)
         assert abs(mean - 3 * fmsync.langevin.mean_cosine(3, kappa)) < 4 * error
         assert error < 0.05
@@ -121,10 +121,58 @@ def test_energies_at_every_temperature_are_those_of_their_temperature():
         ({"n_temperatures": 1}, "n_temperatures"),
         ({"hottest": 1.0}, "hottest"),
         ({"kappa": 0.0}, "kappa: must be finite and > 0"),
-        ({"kappa": "auto"}, "does not infer"),
-        ({"energy": "geodesic"}, "'heat-bath' takes 'euclidean' alone"),
+        ({"kappa": 2.0, "energy": "geodesic"}, "'heat-bath' takes 'euclidean' alone"),
+        ({"base": "hmc", "energy": "geodesic"}, "normaliser of the geodesic energy is not known"),
+        ({"base": "hmc", "likelihood": "projected-gaussian"}, "'hmc' takes 'langevin' alone"),
     ],
 )
 def test_bad_options_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         fmsync.sample(noisy(), "tempered", **options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kappa": "auto"},
+        {"kappa": "auto", "base": "hmc"},
+        {"likelihood": "projected-gaussian"},
+        {"energy": "geodesic", "kappa": 8.0, "base": "hmc"},
+    ],
+)
+def test_every_likelihood_agrees_with_its_base_where_there_is_one_mode(options):
+    """Energy and concentration of the coldest replicas are those of the sampler that they are replicas of."""
+    p, run = noisy(4, 3, sigma2=0.05), {"n_chains": 16, "n_draws": 200, "warmup": 400, "thin": 2}
+    base = options.get("base", "heat-bath")
+    alone = fmsync.sample(p, base, rng=1, **run, **{k: v for k, v in options.items() if k != "base"})
+    tempered = fmsync.sample(p, "tempered", rng=2, n_temperatures=8, hottest=0.02, **run, **options)
+    assert tempered.settings["swap_acceptance"] > 0.1
+    assert tempered.settings["round_trips"] > 20
+    assert tempered.settings["kappa_inferred"] == alone.settings["kappa_inferred"]
+    for values in (lambda post: post.energy, lambda post: np.log(post.kappa)):
+        if np.ptp(values(alone)) > 0:
+            (a, a_error), (b, b_error) = mean_and_error(values(alone)), mean_and_error(values(tempered))
+            assert abs(a - b) < 4 * np.hypot(a_error, b_error)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kappa": "auto"},
+        {"likelihood": "projected-gaussian"},
+        {"kappa": 5.0, "energy": "geodesic", "base": "hmc"},
+    ],
+)
+def test_modes_are_crossed_with_an_unknown_noise_level(options):
+    p = twisted_ring(3)
+    p = fmsync.SyncProblem(8, np.concatenate([p.edges] * 3), np.concatenate([p.maps] * 3))  # three observations each
+    init = np.stack([fmsync.solve(p, "mle").absolute] * 8)
+    post = fmsync.sample(
+        p, "tempered", n_temperatures=12, n_chains=8, n_draws=300, warmup=600, thin=4, init=init, rng=0, **options
+    )
+    relative = post.relative()[:, :, 1:8]
+    angle = np.arctan2(relative[..., 1, 0] - relative[..., 0, 1], relative[..., 0, 0] + relative[..., 1, 1])
+    share, error = mean_and_error(angle.sum(axis=2) > 0)
+    assert abs(share - 0.5) < 4 * error
+    assert error < 0.12
+    assert post.settings["round_trips"] > 20
