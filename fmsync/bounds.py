@@ -56,8 +56,8 @@ def relative_error_bound(
 ) -> np.ndarray:
     r"""Cramér–Rao bound :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
 
-    For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. It
-    holds below the recovery threshold only: past it estimators shrink, are biased and cross the line.
+    For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. A
+    bound of small errors: the group is bounded and the line is not. :func:`is_small_error` says of which pairs it holds.
 
     Returns (K,) lower bounds of the mean *squared* Frobenius error for ``pairs`` (K, 2), the edges by default, of a
     connected graph with one observation of a map (n, n) per edge.
@@ -70,6 +70,20 @@ def relative_error_bound(
     """
     checks.not_negative("sigma2", sigma2)
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
+
+
+def is_small_error(n: int, squared: np.ndarray | float) -> np.ndarray:
+    r"""Whether lower bounds of squared errors (K,) are small enough to hold: at most a tenth of 2n.
+
+    2n is the mean squared distance of unrelated maps. On a path of L edges the exact error is :math:`2n(1-c^L)`, c the
+    mean cosine E tr Z / n of the noise, which is 5 % below the bound where that is a tenth of 2n, and 18 % at .42.
+
+    Examples
+    --------
+    >>> is_small_error(15, [0.5, 12.6])
+    array([ True, False])
+    """
+    return np.asarray(squared) <= 0.1 * 2 * n
 
 
 def langevin_error_bound(
@@ -132,11 +146,12 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
     return float(np.einsum("kaa->k", noise).mean()), float((so.skew(noise) ** 2).sum((1, 2)).mean())
 
 
-def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> float:
-    r"""Noise variance σ² beyond which synchronization of a complete graph is expected to recover little.
+def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, density: float = 1.0) -> float:
+    r"""Noise variance σ² beyond which synchronisation of a random graph is expected to recover little.
 
-    Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{kN + 1}`, k observations per pair: there the
-    leading eigenvectors of the connection matrix drown in its bulk (a heuristic from random matrices).
+    Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{k\rho N + 1}`, k observations for each of a
+    fraction ρ of the pairs: there the leading eigenvectors of the connection matrix drown in its bulk (a heuristic from
+    random matrices).
 
     Infinity when even σ² = 100 stays above it.
 
@@ -146,7 +161,7 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1) -> 
     >>> 0.35 < fmsync.bounds.recovery_threshold(11, 20) < 0.5
     True
     """
-    target = 1 / np.sqrt(observations_per_pair * n_nodes + 1)
+    target = 1 / np.sqrt(observations_per_pair * density * n_nodes + 1)
     low, high = 0.0, 100.0
 
     def cosine(sigma2: float) -> float:

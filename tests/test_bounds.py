@@ -87,6 +87,26 @@ def test_recovery_threshold():
     """At n = 20: about .41 with one observation a pair, about .8 with two."""
     assert abs(bounds.recovery_threshold(11, 20) - 0.41) < 0.03
     assert abs(bounds.recovery_threshold(11, 20, observations_per_pair=2) - 0.8) < 0.08
+    # fewer edges, less noise: the threshold depends on the density
+    assert abs(bounds.recovery_threshold(11, 20, density=5 / 6) - 0.34) < 0.02
+    assert abs(bounds.recovery_threshold(11, 20, density=2 / 3) - 0.28) < 0.02
+
+
+def test_the_bound_of_small_errors_holds_where_it_says_so_and_is_crossed_elsewhere():
+    """On a path the estimate is the product of the observations: the mean squared error is 2n(1 - c^L) exactly."""
+    n, sigma2, edges = 15, 0.02, np.array([(i, i + 1) for i in range(6)])
+    noise = so.project(np.eye(n) + np.sqrt(sigma2) * np.random.default_rng(0).standard_normal((20_000, 6, n, n)))
+    cosine = bounds.projected_noise_moments(n, sigma2)[0] / n
+    error = np.eye(n)
+    for length in range(1, 7):
+        error = error @ noise[:, length - 1]
+        squared = ((error - np.eye(n)) ** 2).sum((1, 2))
+        bound = fmsync.relative_error_bound(7, edges, n, sigma2, np.array([[0, length]]))
+        assert abs(squared.mean() - 2 * n * (1 - cosine**length)) < 4 * squared.std() / np.sqrt(len(squared)) + 1e-2
+        if bounds.is_small_error(n, bound)[0]:
+            assert squared.mean() > 0.95 * bound[0]
+    assert squared.mean() < 0.9 * bound[0]  # the ends: crossed, and not claimed
+    assert not bounds.is_small_error(n, bound)[0]
 
 
 def test_bad_input_is_named():
