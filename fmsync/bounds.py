@@ -57,7 +57,7 @@ def relative_error_bound(
     r"""Cramér–Rao bound :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
 
     For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. A
-    bound of small errors: the group is bounded and the line is not. :func:`is_small_error` says of which pairs it holds.
+    bound of small errors: the group is bounded, the line is not. :func:`is_small_error` says of which pairs it holds.
 
     Returns (K,) lower bounds of the mean *squared* Frobenius error for ``pairs`` (K, 2), the edges by default, of a
     connected graph with one observation of a map (n, n) per edge.
