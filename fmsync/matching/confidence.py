@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fmsync.descriptors import heat_kernel_signature
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.samples import SampledShape
 from fmsync.threads import single_threaded_blas
@@ -12,10 +13,9 @@ from fmsync.threads import single_threaded_blas
 _NEAR = 0.05  # square roots of the area: images this near to each other count as one place
 _FAR = 0.12  # two places this far apart are two modes
 _SHARE = 0.2  # and both hold this share of the votes
-_NEIGHBOURS, _AROUND = (
-    8,
-    0.15,
-)  # samples by which local distortion is told, and square roots of the area it is averaged over
+_NEIGHBOURS, _AROUND = 8, 0.15  # samples that tell local distortion, square roots of the area it is averaged over
+_ALIKE = 0.05  # largest difference of the logarithms of heat kernel signatures of places that look the same
+_SPECTRUM, _MULTIPLE, _MANY = 21, 0.02, 0.3  # of 20 eigenvalues, gaps so small make them one; so many are no accident
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,10 @@ class Confidence:
     entropy
         (S,) of the draws' images, in nats.
     two_modes
-        (S,) whether two distant places both hold a fifth of the votes of the maps through other shapes.
+        (S,) whether the answer is not one place: two distant ones both hold a fifth of the votes of the maps through
+        other shapes, or the surface has a continuous symmetry that moves the image far.
+    symmetry_radius
+        (S,) radius that holds ``level`` of the places which symmetry makes as good as ``image``; 0 without any.
     level
         Of the region, in (0, 1).
     local_distortion
@@ -51,6 +54,7 @@ class Confidence:
     spread: np.ndarray
     entropy: np.ndarray
     two_modes: np.ndarray
+    symmetry_radius: np.ndarray
     level: float
     local_distortion: np.ndarray
     distortion: np.ndarray
@@ -90,27 +94,49 @@ def confidence(
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)
+    double, reach = two_modes(votes, g)
+    symmetric = np.where(double, np.where(reach, g[votes, image], 0).max(axis=0), 0.0)
+    if has_continuous_symmetry(second):
+        symmetric = np.maximum(symmetric, _orbit_radius(second, level)[image])
     return Confidence(
         image=image,
-        radius=np.quantile(g[hits, image], level, axis=0),
+        radius=np.maximum(np.quantile(g[hits, image], level, axis=0), symmetric),
         spread=g[votes, image].mean(axis=0),
         entropy=-(share * np.log(np.where(share > 0, share, 1))).sum(axis=1),
-        two_modes=two_modes(votes, g),
+        two_modes=double | (symmetric > _FAR),
+        symmetry_radius=symmetric,
         level=level,
         local_distortion=local_distortion(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
     )
 
 
-def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> np.ndarray:
-    """Whether votes (W, S) for samples of a shape with ``geodesics`` (K, K) fall into two distant places, (S,)."""
+def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether votes (W, S) for samples of a shape with ``geodesics`` (K, K) fall into two distant places, (S,).
+
+    Also which votes are for a place that holds a fifth of them, (W, S).
+    """
     apart = geodesics[votes[:, None], votes[None]]  # (W, W, S)
     support = (apart <= 2 * _NEAR).mean(axis=1)  # (W, S) share of votes about each vote
     best = support.argmax(axis=0)
     columns = np.arange(votes.shape[1])
     elsewhere = apart[best, :, columns].T > _FAR  # (W, S)
     second = np.where(elsewhere, support, 0).max(axis=0)
-    return (second >= _SHARE) & (support[best, columns] >= _SHARE)
+    return (second >= _SHARE) & (support[best, columns] >= _SHARE), support >= _SHARE
+
+
+def has_continuous_symmetry(shape: SampledShape) -> bool:
+    """Whether eigenvalues are multiple so often that the surface turns into itself, with no landmarks to stop it."""
+    values = shape.basis.eigenvalues[1:_SPECTRUM]
+    multiple = np.diff(values) < _MULTIPLE * values[:-1]
+    return bool(shape.n_landmarks < 2 and multiple.mean() > _MANY)
+
+
+def _orbit_radius(shape: SampledShape, level: float) -> np.ndarray:
+    """(S,) geodesic radius about each sample that holds ``level`` of the samples that look the same to heat."""
+    signature = np.log(heat_kernel_signature(shape.basis, 12)[shape.samples])  # (S, 12)
+    alike = np.abs(signature[:, None] - signature).max(axis=2) <= _ALIKE
+    return np.array([np.quantile(away[same], level) for away, same in zip(shape.geodesics, alike)])
 
 
 def samples_to_vertices(first: SampledShape, values: np.ndarray) -> np.ndarray:

@@ -36,8 +36,9 @@ class ConformalCalibration:
         return self.mean * known.uncertainty_score()
 
     def radius(self, known: Confidence, level: float | None = None) -> np.ndarray:
-        """Radii (S,) of regions that hold ``level``; left out, the level of ``known``."""
-        return self.scale(known.level if level is None else level) * known.uncertainty_score()
+        """Radii (S,) of regions that hold ``level``; left out, the level of ``known``. As wide as any symmetry."""
+        scale = self.scale(known.level if level is None else level)
+        return np.maximum(scale * known.uncertainty_score(), known.symmetry_radius)
 
     def scale(self, level: float) -> float:
         """What scores are multiplied by; ValueError outside the levels it was fitted at."""
@@ -76,7 +77,7 @@ def fit_conformal(
     --------
     >>> rng = np.random.default_rng(0)
     >>> score = rng.random(400)
-    >>> known = Confidence(*np.zeros((5, 400)), 0.9, score, np.ones(400))
+    >>> known = Confidence(*np.zeros((6, 400)), 0.9, score, np.ones(400))
     >>> fitted = fit_conformal([known], [rng.exponential(score)])
     >>> bool(abs(fitted.scale(0.9) / np.log(10) - 1) < 0.2)  # the 90 % quantile of an exponential distribution
     True

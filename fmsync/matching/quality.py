@@ -3,6 +3,7 @@
 import numpy as np
 
 from fmsync import diagnostics
+from fmsync.matching.confidence import has_continuous_symmetry
 from fmsync.matching.synchronize import SyncedShapes
 
 _RHAT, _ESS = 1.01, 400
@@ -11,7 +12,7 @@ _RHAT, _ESS = 1.01, 400
 def quality_flags(synced: SyncedShapes) -> list[str]:
     """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
 
-    Watches the energy and the concentration of the chains, and the edges that contradict the rest.
+    Watches the energy and the concentration of the chains, edges that contradict the rest, and symmetries.
     """
     said = []
     if synced.posterior is not None:
@@ -34,6 +35,17 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
     if pairs:
         said.append(
             f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."
+        )
+    turning = [s.shape.name for s in synced.shapes if has_continuous_symmetry(s)]
+    if turning:
+        said.append(
+            f"{', '.join(turning)}: nearly equal eigenvalues, as on a surface of revolution. The shape does not tell "
+            "how far a vertex is turned about the axis; regions there are as wide as its circle. Give landmarks."
+        )
+    if any(s.orientation is None and s.n_landmarks < 2 for s in synced.shapes):
+        said.append(
+            "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. Give "
+            "meshes or landmarks."
         )
     if len(synced.edges) < len(synced.shapes):
         said.append(

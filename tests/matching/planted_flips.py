@@ -33,6 +33,6 @@ def planted_flips(synced, share: float, far: float = 0.16) -> tuple[float, float
         apart = np.linalg.norm(points[own] - points[mirror[own]], axis=1)
         clear = (apart < far / 2) | (apart > far)
         true = (apart > far) & (support >= 0.2)
-        flagged = two_modes(other.votes(i, j), synced.shapes[j].geodesics)
+        flagged = two_modes(other.votes(i, j), synced.shapes[j].geodesics)[0]
         hits += [(clear & a & b).sum() for a, b in ((flagged, true), (flagged, ~true), (~flagged, true))]
     return float(hits[0] / max(hits[0] + hits[1], 1)), float(hits[0] / max(hits[0] + hits[2], 1))

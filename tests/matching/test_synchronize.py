@@ -115,7 +115,7 @@ def test_signs_are_found_and_wrong_edges_named():
 def test_two_modes_need_two_supported_distant_places():
     geodesics = np.abs(np.subtract.outer([0.0, 0.01, 1.0], [0.0, 0.01, 1.0]))
     votes = np.array([[0, 0, 0], [1, 1, 0], [0, 2, 0], [1, 2, 0], [0, 0, 0], [0, 1, 2], [0, 0, 0], [1, 0, 0]])
-    np.testing.assert_array_equal(two_modes(votes, geodesics), [False, True, False])
+    np.testing.assert_array_equal(two_modes(votes, geodesics)[0], [False, True, False])
 
 
 def test_confidence_of_certain_draws_is_a_point(synced):
@@ -131,7 +131,7 @@ def test_conformal_regions_cover_what_they_promise():
     rng = np.random.default_rng(0)
     zeros = np.zeros(4000, dtype=int)
     spread = rng.uniform(0.01, 0.2, 4000)
-    known = Confidence(zeros, spread, spread, spread, zeros > 0, 0.9, spread, np.ones(4000))
+    known = Confidence(zeros, spread, spread, spread, zeros > 0, zeros, 0.9, spread, np.ones(4000))
     errors = 3 * spread * rng.exponential(size=4000)
     fitted = fit_conformal([known], [errors])
     fresh = 3 * spread * rng.exponential(size=4000)
