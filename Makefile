@@ -14,7 +14,7 @@ export MKL_NUM_THREADS ?= 1
 export FMSYNC_DATA
 JOBS ?= 2
 HTML := _build/html/index.html
-.PHONY: setup book book.zip test worlds lint unit core notebook-test browser notebooks lab clean
+.PHONY: setup book book.zip test worlds fuzz lint unit core notebook-test browser notebooks lab clean
 
 book: setup
 	python scripts/sync_notebooks.py --check
@@ -59,6 +59,11 @@ browser: setup
 # every chapter in eight worlds, the arithmetic of two processors by four shifts of all seeds: make worlds CHAPTERS="05_oracle 04_rlfm" SEED=1
 worlds: setup
 	python scripts/worlds.py $(CHAPTERS) --seed $(or $(SEED),0) --jobs $(JOBS)
+
+# damaged files for every reader; what makes one crash, hang or raise anything but a ValueError goes to tests/broken
+MUTANTS ?= 2000
+fuzz: setup
+	python -m tests.fuzz --mutants $(MUTANTS)
 
 notebooks: setup
 	python scripts/sync_notebooks.py
