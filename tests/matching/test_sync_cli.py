@@ -1,8 +1,10 @@
 """The command: what it leaves behind, and what it says when it cannot."""
 
+import contextlib
 import itertools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -256,3 +258,31 @@ def test_landmarks_by_name_in_any_order(folder, tmp_path):
         plain.write_text(text)
         with pytest.raises(ValueError, match=said):
             _landmarks(plain, shapes)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_two_hundred_kills_lose_nothing_and_repeat_nothing(folder, tmp_path):
+    """Killed with its two workers at random moments, from imports to the last file, then left alone."""
+    out, clean = tmp_path / "out", tmp_path / "clean"
+    command = [sys.executable, "-m", "fmsync.cli", "sync", str(folder), *QUICK, "--jobs", "2", "-o"]
+    subprocess.run([*command, str(clean)], check=True, capture_output=True)
+    rng, kept, n_killed = np.random.default_rng(0), {}, 0
+    while n_killed < 200:
+        process = subprocess.Popen(
+            [*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        time.sleep(rng.uniform(0.5, 12))
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        n_killed += process.wait() == -signal.SIGKILL
+        if (out / "report.html").is_file():  # it was done: begin again
+            shutil.rmtree(out)
+            kept = {}
+        now = {file: os.stat(file).st_mtime_ns for file in (out / ".fmsync" / "pairs").glob("?" * 24 + ".npz")}
+        assert kept.items() <= now.items()
+        kept = now
+    subprocess.run([*command, str(out)], check=True, capture_output=True)
+    for path in clean.rglob("*.npy"):
+        np.testing.assert_array_equal(np.load(path), np.load(out / path.relative_to(clean)))
+    assert {p.relative_to(clean) for p in clean.rglob("*")} == {p.relative_to(out) for p in out.rglob("*")}
