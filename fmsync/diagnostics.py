@@ -24,6 +24,9 @@ class Draws(Protocol):
     def problem(self) -> SyncProblem: ...
 
     @property
+    def method(self) -> str: ...
+
+    @property
     def energy(self) -> np.ndarray: ...
 
     @property
@@ -189,7 +192,7 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     mean, sd, r_hat, bulk, tail = np.array(
         [(x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for x in values.values()]
     ).T
-    _warn(tuple(values), r_hat, np.fmin(bulk, tail))
+    _warn(post.method, tuple(values), r_hat, np.fmin(bulk, tail))
     return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
 
@@ -200,7 +203,7 @@ def warn_unless_converged(post: Draws) -> None:
     """
     values = _watched(post)
     r_hat, effective = (np.array([statistic(x) for x in values.values()]) for statistic in (rhat, ess))
-    _warn(tuple(values), r_hat, effective)
+    _warn(post.method, tuple(values), r_hat, effective)
 
 
 def _watched(post: Draws) -> dict[str, np.ndarray]:
@@ -211,7 +214,7 @@ def _watched(post: Draws) -> dict[str, np.ndarray]:
     return values
 
 
-def _warn(names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> None:
+def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> None:
     complaints = []
     if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
         worst = int(np.nanargmax(r_hat))
@@ -223,7 +226,7 @@ def _warn(names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> N
         worst = int(np.nanargmin(effective))
         complaints.append(
             f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): raise n_draws or "
-            "thin, or use 'heat-bath' where the energy is Euclidean"
+            f"thin{'' if method == 'heat-bath' else ', or use heat-bath where the energy is Euclidean'}"
         )
     if complaints:
         warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=4)

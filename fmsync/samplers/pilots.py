@@ -10,7 +10,7 @@ import numpy as np
 from fmsync import so
 from fmsync.energy import energy, geodesic_energy
 from fmsync.langevin import matched_kappa
-from fmsync.problem import relative_maps
+from fmsync.problem import SyncProblem, relative_maps
 from fmsync.samplers.base import Sampler, Target
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC
@@ -19,6 +19,7 @@ N_PILOTS = 8
 _SHARE = 0.04  # of the chain steps of the whole run that all pilots together may take
 _LEAST_STEPS = 30  # fewer tell nothing
 _MOST_EDGES, _MOST_DRAWS = 32, 100  # that are compared
+_DRAWS_A_CHAIN = 50
 _APART = 4.0  # standard deviations, of kept draws and pilots together, between two modes
 _VISITED = 0.01  # share of kept draws beyond the middle: they know that mode
 _NEGLIGIBLE = 10.0  # a mode whose log-density lies so far below has no weight
@@ -72,7 +73,7 @@ def unvisited_mode(
         states.append(pilots.state.copy())
     quarter = n_steps // 4
     late = np.array(states[-2 * quarter :])  # (S, pilots, N, n, n)
-    edges = p.edges[np.linspace(0, p.n_edges - 1, min(_MOST_EDGES, p.n_edges)).astype(int)]
+    edges = _some_edges(p)
     known, seen = _relative(kept, edges), _relative(late, edges)
     energies, at_home = potential(p, late), potential(p, kept)
     third, last = energies[:quarter], energies[quarter:]
@@ -83,6 +84,26 @@ def unvisited_mode(
     if not found.any():
         return None
     return Unvisited(int(found.sum()), float(last.mean(0)[found].min()), float(at_home.mean()))
+
+
+def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:
+    """What to say where draws (K, T, N, n, n) of the chains lie in different modes; empty where they do not.
+
+    The energy does not see modes that are equally high, relative maps do.
+    """
+    few = draws[:, np.linspace(0, draws.shape[1] - 1, min(_DRAWS_A_CHAIN, draws.shape[1])).astype(int)]
+    maps, half = _relative(few, _some_edges(problem)), few.shape[1] // 2
+    apart = [k for k in range(1, len(maps)) if half > 1 and _apart(maps[k, :half], maps[k, half:], maps[0])]
+    if not apart:
+        return ""
+    return (
+        f"{len(apart)} of {len(maps)} chains stay in another mode than the first: the draws weigh modes by their "
+        "starts; use method='tempered', which weighs the modes"
+    )
+
+
+def _some_edges(problem: SyncProblem) -> np.ndarray:
+    return problem.edges[np.linspace(0, problem.n_edges - 1, min(_MOST_EDGES, problem.n_edges)).astype(int)]
 
 
 def _relative(c: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from fmsync.estimators.solve import solve
 from fmsync.estimators.starts import starting_point
 from fmsync.problem import LangevinPrior, SyncProblem
 from fmsync.samplers.base import SAMPLERS, Sampler, Target
-from fmsync.samplers.pilots import pilot_steps, unvisited_mode
+from fmsync.samplers.pilots import pilot_steps, split_chains, unvisited_mode
 from fmsync.samplers.posterior import Posterior
 from fmsync.threads import single_threaded_blas
 
@@ -43,9 +43,9 @@ def sample(
     r"""Draw the absolute maps from their posterior :math:`\propto\exp(-\beta U(C))`, all chains as one batch.
 
     Warns with a :class:`~fmsync.diagnostics.ConvergenceWarning` when the energy or an inferred concentration has R-hat
-    above 1.01 or fewer than 400 effective draws, or when short pilot chains from dispersed starts, which long runs of
-    all samplers but ``"tempered"`` can afford, find a mode that the chains have not visited. Raises a RuntimeError with
-    a step to try when a chain diverges.
+    above 1.01 or fewer than 400 effective draws, when chains stay in different modes, or when short pilot chains from
+    dispersed starts, which long runs of all samplers but ``"tempered"`` can afford, find a mode that the chains have
+    not visited. Raises a RuntimeError with a step to try when a chain diverges.
 
     Parameters
     ----------
@@ -107,12 +107,13 @@ def sample(
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
         absolute, energies, kappas = run_chains(chains, n_draws, warmup, thin, callback)
+        said = split_chains(problem, absolute)
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
         looks = n_steps and method != "tempered" and chains.settings.get("constrained", True)
-        if looks and energies.shape[1] == n_draws:
-            unvisited = unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0])
-            if unvisited is not None:
-                warnings.warn(str(unvisited), ConvergenceWarning, stacklevel=2)
+        if looks and not said and energies.shape[1] == n_draws:
+            said = str(unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0]) or "")
+        if said:
+            warnings.warn(said, ConvergenceWarning, stacklevel=2)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
     warn_unless_converged(post)
