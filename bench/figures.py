@@ -17,7 +17,7 @@ _MARKERS = "osD^v<>pPXd"
 def errors(table: pd.DataFrame) -> Figure:
     """Error against noise, a panel for each row of :func:`bench.report.table1`, the paper's numbers as crosses.
 
-    Densities as in the paper: solid 1, dashed .833, dotted .667. The floor is drawn below the recovery threshold only.
+    Densities as in the paper: solid 1, dashed .833, dotted .667. The bound is dotted where errors are not small.
     """
     labels = [label for label in table.label.cat.categories if label != "observed"]
     rows = -(-len(labels) // 2)
@@ -31,8 +31,8 @@ def errors(table: pd.DataFrame) -> Figure:
             axis.fill_between(part.sigma2, part.low, part.high, color=line.get_color(), alpha=0.2, lw=0)
             axis.plot(part.sigma2, part.paper, "x", color=line.get_color())
         complete = table[(table.label == label) & (table.density == 1)]
-        for valid, style, name in ((True, "k-", "floor"), (False, "k:", "floor, not valid")):
-            part = complete[complete.recoverable == valid]
+        for valid, style, name in ((True, "k-", "bound"), (False, "k:", "bound of small errors, not valid")):
+            part = complete[complete.valid == valid]
             axis.plot(part.sigma2, part.floor, style, lw=1.2, label=name if len(part) else None)
         axis.set_title(str(label), fontsize=11)
         axis.set(ylim=(0, 7), xticks=sorted(table.sigma2.unique())[1::2])
@@ -96,9 +96,9 @@ def oracle(frame: pd.DataFrame) -> Figure:
 
 
 def error_against_seconds(board: pd.DataFrame) -> Figure:
-    """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the floor as a line.
+    """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the bound as a line.
 
-    Root mean squares, as the floor is. Names stand at the right, in the order of the errors; who makes none, since it
+    Root mean squares, as the bound is. Names stand at the right, in the order of the errors; who makes none, since it
     sees the truth, is left out.
     """
     rows = board[board.cpu.notna() & (board.rms > 0)]

@@ -9,7 +9,7 @@ import pandas as pd
 
 from bench import figures, results
 from bench.metrics import root_mean_square
-from fmsync.bounds import recovery_threshold
+from fmsync.bounds import is_small_error, recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
@@ -44,8 +44,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     -------
     DataFrame
         label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
-        agrees (whether the printed number lies in the interval), floor and expected (root mean squares), recoverable
-        (whether σ² is below the heuristic threshold, beyond which the floor is not valid).
+        agrees (whether the printed number lies in the interval), floor (the Cramér–Rao bound) and expected (root mean
+        squares), valid (whether errors are small enough for the bound), recoverable (whether σ² is below the heuristic
+        threshold at this density).
     """
     where = (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & frame.density.notna()
     chosen = frame[where & (frame.around.fillna("consistent") == around)]
@@ -59,8 +60,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     for name in ("floor", "expected"):
         lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
         table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
-    threshold = recovery_threshold(n_nodes, int(chosen.n.iloc[0]), 2 if two_way else 1)
-    table["recoverable"] = table.sigma2 < threshold
+    n, k = int(chosen.n.iloc[0]), 2 if two_way else 1
+    table["valid"] = is_small_error(n, table.floor**2)
+    table["recoverable"] = table.sigma2 < table.density.map(lambda density: recovery_threshold(n_nodes, n, k, density))
     table["label"] = pd.Categorical(table.label, labels, ordered=True)
     return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
 
@@ -179,16 +181,17 @@ def _is_paper(frame: pd.DataFrame) -> bool:
 
 def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
     table = table1(frame, **variant)
-    table["noise"] = table.sigma2.map("{:g}".format) + table.recoverable.map({True: "", False: "'"})
+    table["noise"] = table.sigma2.map("{:g}".format)
     cells = {}
     for row in table.itertuples():
         text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
         if pd.notna(row.paper):
             text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
+        text += "" if row.recoverable else "'"
         cells[row.label, row.density, row.noise] = text
-    for name in ("floor", "expected"):
+    for name, shown in (("floor", "bound"), ("expected", "expected")):
         for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
-            cells[f"{name} (rms)", row.density, row.noise] = f"{getattr(row, name):.2f}"
+            cells[f"{shown} (rms)", row.density, row.noise] = f"{getattr(row, name):.2f}"
     wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
     return (
         f"{variant_name(**variant)}\nours [95 % interval] / paper; "

@@ -19,7 +19,7 @@ N_PILOTS = 8
 _SHARE = 0.04  # of the chain steps of the whole run that all pilots together may take
 _LEAST_STEPS = 30  # fewer tell nothing
 _MOST_EDGES, _MOST_DRAWS = 32, 100  # that are compared
-_DRAWS_A_CHAIN = 50
+_DRAWS_A_CHAIN, _FEWEST_DRAWS = 50, 10
 _APART = 4.0  # standard deviations, of kept draws and pilots together, between two modes
 _VISITED = 0.01  # share of kept draws beyond the middle: they know that mode
 _NEGLIGIBLE = 10.0  # a mode whose log-density lies so far below has no weight
@@ -53,11 +53,11 @@ def unvisited_mode(
     """A mode that pilots of ``n_steps`` steps found and kept draws (K, T, N, n, n) did not.
 
     Six of eight start at Haar draws, two at kept draws that are perturbed; they run at the concentration of the kept
-    draws. Where a pilot was in its third quarter gives the direction in which its last quarter is compared with
-    the kept draws, so that noise in many dimensions is not taken for a distance.
+    draws. Where a pilot was in its third quarter, and the kept draws in their first half, gives the direction in which
+    the rest of both is compared: in many dimensions noise would be taken for a distance otherwise.
     """
-    p, flat = target.problem, draws.reshape(-1, *draws.shape[2:])
-    kept = flat[np.linspace(0, len(flat) - 1, min(_MOST_DRAWS, len(flat))).astype(int)]
+    p, few = target.problem, _thinned(draws, max(_MOST_DRAWS // len(draws), 2))
+    kept = few.reshape(-1, *few.shape[2:])
     potential = energy if target.energy == "euclidean" else geodesic_energy
     start = so.random_uniform(p.n, (N_PILOTS, p.n_nodes), rng)
     noise = 2 * so.skew(rng.standard_normal((N_PILOTS // 4, p.n_nodes, p.n, p.n)))
@@ -74,12 +74,12 @@ def unvisited_mode(
     quarter = n_steps // 4
     late = np.array(states[-2 * quarter :])  # (S, pilots, N, n, n)
     edges = _some_edges(p)
-    known, seen = _relative(kept, edges), _relative(late, edges)
+    known, seen = _halves(_relative(few, edges)), _relative(late, edges)
     energies, at_home = potential(p, late), potential(p, kept)
     third, last = energies[:quarter], energies[quarter:]
     moving = np.abs(third.mean(0) - last.mean(0)) > 2 * np.hypot(third.std(0), last.std(0))
     lost = kappa / 2 * (last.mean(0) - at_home.mean()) > _NEGLIGIBLE
-    elsewhere = np.array([_apart(seen[:quarter, k], seen[quarter:, k], known) for k in range(N_PILOTS)])
+    elsewhere = np.array([_apart((seen[:quarter, k], seen[quarter:, k]), known) for k in range(N_PILOTS)])
     found = elsewhere & ~moving & ~lost
     if not found.any():
         return None
@@ -91,9 +91,10 @@ def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:
 
     The energy does not see modes that are equally high, relative maps do.
     """
-    few = draws[:, np.linspace(0, draws.shape[1] - 1, min(_DRAWS_A_CHAIN, draws.shape[1])).astype(int)]
-    maps, half = _relative(few, _some_edges(problem)), few.shape[1] // 2
-    apart = [k for k in range(1, len(maps)) if half > 1 and _apart(maps[k, :half], maps[k, half:], maps[0])]
+    if draws.shape[1] < _FEWEST_DRAWS:
+        return ""
+    maps = _relative(_thinned(draws, _DRAWS_A_CHAIN), _some_edges(problem))[:, None]  # (K, 1, T, D)
+    apart = [k for k in range(1, len(maps)) if _apart(_halves(maps[k]), _halves(maps[0]))]
     if not apart:
         return ""
     return (
@@ -112,10 +113,21 @@ def _relative(c: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return maps.reshape(*maps.shape[:-3], -1)
 
 
-def _apart(before: np.ndarray, after: np.ndarray, known: np.ndarray) -> bool:
-    """Whether draws ``after`` (S, D) lie apart from ``known`` (T, D), in the direction of ``before`` (S, D)."""
-    direction = before.mean(0) - known.mean(0)
-    here, there = after @ direction, known @ direction
+def _thinned(draws: np.ndarray, count: int) -> np.ndarray:
+    """At most so many draws of each chain (K, T, ...), evenly from all."""
+    return draws[:, np.linspace(0, draws.shape[1] - 1, min(count, draws.shape[1])).astype(int)]
+
+
+def _halves(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the second halves (.., D) of chains (K, T, D)."""
+    half, size = draws.shape[1] // 2, draws.shape[-1]
+    return draws[:, :half].reshape(-1, size), draws[:, half:].reshape(-1, size)
+
+
+def _apart(ours: tuple[np.ndarray, np.ndarray], others: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Whether later draws (S, D) and (T, D) lie apart in the direction that the earlier draws of both give."""
+    direction = ours[0].mean(0) - others[0].mean(0)
+    here, there = ours[1] @ direction, others[1] @ direction
     gap = here.mean() - there.mean()
     middle = there.mean() + gap / 2
     return bool(gap > _APART * np.hypot(here.std(), there.std()) and (there > middle).mean() < _VISITED)

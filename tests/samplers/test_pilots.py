@@ -75,3 +75,12 @@ def test_chains_in_different_modes_are_told_though_their_energies_agree(seed):
     (message,) = [str(w.message) for w in caught if "mode" in str(w.message)]
     assert "of 16 chains stay in another mode" in message
     assert "use method='tempered'" in message
+
+
+@pytest.mark.parametrize("kappa", [2.0, 4.0, 8.0])
+def test_noise_in_many_dimensions_is_not_a_distance(kappa):
+    problem = data_gen.perturb(data_gen.planted(11, 20, rng=0), 0.2, 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConvergenceWarning)
+        fmsync.sample(problem, "heat-bath", kappa=kappa, n_chains=2, n_draws=1200, warmup=100, rng=5)
+    assert not [w for w in caught if "mode" in str(w.message)]
