@@ -44,7 +44,7 @@ core:
 	$(V)-core/bin/python -m pip install -q --disable-pip-version-check uv==$(UV)
 	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python --resolution $(if $(filter lowest,$(PINS)),lowest-direct,highest) .
 	$(V)-core/bin/uv pip install -q --python $(V)-core/bin/python pytest hypothesis mpmath
-	$(V)-core/bin/python -m pytest -q -m "not browser and not slow" README.md tests/test_so.py tests/test_langevin.py \
+	$(V)-core/bin/python -m pytest -q -m "not browser and not slow" README.md tests/test_energy.py tests/test_problem.py tests/test_langevin.py \
 	  tests/test_bounds.py tests/test_diagnostics.py tests/estimators/test_certificate.py tests/estimators/test_map.py tests/samplers/test_sample.py
 
 # in the arithmetic of another processor than make book, so that one machine tests two
