@@ -3,9 +3,10 @@
 import contextlib
 import hashlib
 import itertools
+import re
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -15,7 +16,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.estimators import Estimate, solve
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows
@@ -150,7 +151,8 @@ def synchronize_shapes(
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
     with inferred concentration; larger maps through functions that all shapes share. A shape in several pieces, inside
-    out, mirrored, or unlike the rest in its spectrum is a ValueError that names it.
+    out, mirrored, or unlike the rest in its spectrum is a ValueError that names it; shapes of equal names become
+    ``name (shape k)``.
 
     Parameters
     ----------
@@ -159,11 +161,12 @@ def synchronize_shapes(
     n_basis, n_refined
         Size n of the maps that are sampled, and size m >= n of those that carry points.
     n_samples, n_draws
-        Samples of each shape, and posterior draws (0 for none).
+        Samples of each shape, at least n, and posterior draws (0 for none).
     graph
-        ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j).
+        ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j) that
+        connect all shapes.
     landmarks
-        For each shape the same L vertices in the same order.
+        For each shape the same L <= ``n_samples`` vertices in the same order.
     jobs, checkpoint
         Processes of the pairwise stage, through joblib and its active backend; folder of pairs that are finished.
     progress, rng
@@ -177,13 +180,21 @@ def synchronize_shapes(
     >>> synced.point_map(0, 2).shape
     (1000,)
     """
-    shapes, rng = list(shapes), np.random.default_rng(rng)
-    _check(shapes, n_basis, n_refined, landmarks)
+    rng, names = np.random.default_rng(rng), [s.name for s in shapes]
+    shapes = [replace(s, name=f"{s.name} (shape {k})") if names.count(s.name) > 1 else s for k, s in enumerate(shapes)]
+    n_basis, n_refined = checks.count("n_basis", n_basis, least=2), checks.count("n_refined", n_refined)
+    n_samples, n_draws = checks.count("n_samples", n_samples), checks.count("n_draws", n_draws, least=0)
+    if n_basis > min(n_refined, n_samples):
+        raise ValueError(
+            f"n_basis = {n_basis}: lower it to n_refined = {n_refined} and n_samples = {n_samples} at most"
+        )
+    _check_shapes(shapes, n_refined)
+    marks = [None] * len(shapes) if landmarks is None else _checked_landmarks(landmarks, shapes, n_samples)
+    pairs = _checked_graph(graph, len(shapes))
     each = _parallel(jobs, progress)
-    marks = [None] * len(shapes) if landmarks is None else landmarks
     sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
     _refuse_outlier_shapes(sampled)
-    edges = _edges(graph, sampled)
+    edges = _neighbours(sampled, pairs) if isinstance(pairs, int) else pairs
     light = [s.light(FINE) for s in sampled]
     matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
     _refuse_mirrored(sampled, edges, matches)
@@ -199,29 +210,63 @@ def synchronize_shapes(
     return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
 
 
-def _check(shapes: Sequence[Shape], n_basis: int, n_refined: int, landmarks: Sequence[Sequence[int]] | None) -> None:
+def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
     if len(shapes) < 2:
         raise ValueError(f"shapes: {len(shapes)} given, correspondences need at least two")
-    if not 2 <= n_basis <= n_refined:
-        raise ValueError(f"n_basis, n_refined: need 2 <= n_basis <= n_refined, got {n_basis} and {n_refined}")
-    for shape in shapes:
+    volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
+    for k, shape in enumerate(shapes):
         if shape.n_vertices <= n_refined:
             raise ValueError(
                 f"{shape.name}: {shape.n_vertices} vertices are too few for n_refined = {n_refined}; lower it"
             )
-    if landmarks is not None and (len(landmarks) != len(shapes) or len({len(points) for points in landmarks}) != 1):
-        raise ValueError(f"landmarks: give each of {len(shapes)} shapes the same number of vertices")
-    volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
-    for shape in shapes:
         if shape.faces is not None:
             a, b, c = (shape.vertices - shape.vertices.mean(axis=0))[shape.faces.T]
-            volumes[shape.name] = float(np.einsum("fx,fx->", a, np.cross(b, c))) / 6 / shape.area**1.5
-    inside_out = [name for name, volume in volumes.items() if volume < -1e-3]
+            volumes[k] = float(np.einsum("fx,fx->", a, np.cross(b, c))) / 6 / shape.area**1.5
+    inside_out = [shapes[k].name for k, volume in volumes.items() if volume < -1e-3]
     if inside_out and len(inside_out) < len(volumes):
         raise ValueError(
             f"{', '.join(inside_out)}: mirrored or inside out (negative volume) while the others are not; "
             "mirror it back, or reverse the order of corners in every face"
         )
+
+
+def _checked_landmarks(
+    landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int
+) -> Sequence[np.ndarray]:
+    """The vertices (L,) of each shape."""
+    if len(landmarks) != len(shapes):
+        raise ValueError(
+            f"landmarks: {len(landmarks)} rows for {len(shapes)} shapes; give one row of vertices for each"
+        )
+    marks = []
+    for k, (given, shape) in enumerate(zip(landmarks, shapes)):
+        row = f"landmarks[{k}] (of {shape.name})"
+        marks.append(checks.indices(row, given, shape.n_vertices))
+        if len(marks[k]) != len(marks[0]):
+            raise ValueError(
+                f"{row}: {len(marks[k])} vertices, {shapes[0].name} has {len(marks[0])}; give as many of each shape"
+            )
+        again = np.setdiff1d(np.arange(len(marks[k])), np.unique(marks[k], return_index=True)[1])
+        if again.size:
+            raise ValueError(f"{row}[{again[0]}]: vertex {marks[k][again[0]]} is repeated; remove it from every shape")
+    if len(marks[0]) > n_samples:
+        raise ValueError(f"landmarks: {len(marks[0])} of each shape, but n_samples = {n_samples}; raise n_samples")
+    return marks
+
+
+def _checked_graph(graph: str | Sequence[tuple[int, int]], count: int) -> np.ndarray | int:
+    """Pairs (E, 2), i < j, or a number of neighbours."""
+    if isinstance(graph, str) and graph == "complete":
+        return np.array(list(itertools.combinations(range(count), 2)))
+    if isinstance(graph, str):
+        if not re.fullmatch("k[1-9][0-9]*", graph):
+            raise ValueError(f"graph: 'complete', 'k4' or pairs, not {graph!r}")
+        return int(graph[1:])
+    try:
+        return np.unique(np.sort(checks.connected_edges(count, graph), axis=1), axis=0)
+    except ValueError as error:
+        what = str(error).removeprefix("edges: ")
+        raise ValueError(f"graph: {what}; give pairs of different shapes 0..{count - 1} that connect all") from None
 
 
 def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
@@ -262,20 +307,14 @@ def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches:
             )
 
 
-def _edges(graph: str | Sequence[tuple[int, int]], shapes: Sequence[SampledShape]) -> np.ndarray:
-    count = len(shapes)
-    if isinstance(graph, str) and graph == "complete":
-        return np.array(list(itertools.combinations(range(count), 2)))
-    if isinstance(graph, str) and graph[:1] == "k" and graph[1:].isdigit() and int(graph[1:]) > 0:
-        logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
-        apart = np.abs(logs[:, None] - logs).mean(axis=2)
-        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : int(graph[1:]) + 1]
-        chosen = nx.Graph((i, int(j)) for i in range(count) for j in nearest[i])
-        tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
-        return np.array(sorted(tuple(sorted(e)) for e in {*map(frozenset, chosen.edges), *map(frozenset, tree.edges)}))
-    if isinstance(graph, str):
-        raise ValueError(f"graph: 'complete', 'k4' or pairs, not {graph!r}")
-    return np.array(sorted({tuple(sorted((int(i), int(j)))) for i, j in graph}))
+def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
+    """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
+    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    apart = np.abs(logs[:, None] - logs).mean(axis=2)
+    nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
+    chosen = nx.Graph((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
+    tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
+    return np.array(sorted(tuple(sorted(e)) for e in {*map(frozenset, chosen.edges), *map(frozenset, tree.edges)}))
 
 
 def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path | None) -> PairMatch:

@@ -1,4 +1,4 @@
-"""The pipeline on small synthetic cats, whose common vertex order judges it and is never shown to it."""
+"""The pipeline on small synthetic cats, whose common vertex order evaluates it and is never shown to it."""
 
 from dataclasses import replace
 
@@ -162,13 +162,60 @@ def test_bad_collections_are_refused_by_name(cats):
     with pytest.raises(ValueError, match="mirror: mirrored or inside out"):
         fmsync.synchronize_shapes([cats[0], flipped], **OPTIONS)
     ball = data_gen.load_collection("cats", count=1, n_vertices=1000)[0]
-    stretched = Shape(ball.vertices * [9, 1, 1], ball.faces, "plank")
+    plank = Shape(ball.vertices * [9, 1, 1], ball.faces, "plank")
     with pytest.raises(ValueError, match="plank is unlike the rest"):
-        fmsync.synchronize_shapes([*cats[:3], stretched], **OPTIONS)
+        fmsync.synchronize_shapes([*cats[:3], plank], **OPTIONS)
     with pytest.raises(ValueError, match="too few"):
         fmsync.synchronize_shapes(cats, n_refined=2000)
     with pytest.raises(ValueError, match="landmarks"):
         fmsync.synchronize_shapes(cats[:2], landmarks=[[1, 2], [1]], **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"landmarks": [[1, 2], [3.0, 4.5]]}, r"landmarks\[1\] \(of cat1\): must be a row of integers"),
+        (
+            {"landmarks": [[1, 2], [3, 1000]]},
+            r"landmarks\[1\] \(of cat1\)\[1\] = 1000 is outside the vertices 0\.\.999",
+        ),
+        ({"landmarks": [[-1, 2], [3, 4]]}, r"landmarks\[0\] \(of cat0\)\[0\] = -1 is outside"),
+        ({"landmarks": [[1, 2, 3], [3, 4, 3]]}, r"landmarks\[1\] \(of cat1\)\[2\]: vertex 3 is repeated; remove"),
+        ({"landmarks": [range(201)] * 2}, "landmarks: 201 of each shape, but n_samples = 200; raise n_samples"),
+        ({"landmarks": [[1, 2]]}, "landmarks: 1 rows for 2 shapes; give one row"),
+        ({"n_samples": 11}, "n_basis = 12: lower it to n_refined = 30 and n_samples = 11 at most"),
+        ({"n_refined": 11}, "n_basis = 12: lower it to n_refined = 11"),
+        ({"n_basis": 12.5}, "n_basis: an integer >= 2, got 12.5"),
+        ({"n_refined": -30}, "n_refined: an integer >= 1, got -30"),
+        ({"n_samples": 200.5}, "n_samples: an integer >= 1, got 200.5"),
+        ({"n_draws": -1}, "n_draws: an integer >= 0, got -1"),
+        ({"graph": [(0, 1), (0, 2)]}, r"graph: edge 1 \(0, 2\) is out of range for 2 nodes; give pairs .* 0\.\.1"),
+        ({"graph": [(0, 1), (1, 1)]}, r"graph: edge 1 \(1, 1\) is a self-loop; remove it"),
+        ({"graph": [(0, 1.5)]}, "graph: node numbers must be integers"),
+        ({"graph": "k0"}, "graph: 'complete', 'k4' or pairs, not 'k0'"),
+    ],
+)
+def test_bad_options_are_refused_before_long_work(cats, monkeypatch, options, said):
+    monkeypatch.setattr(synchronize, "sample_shape", lambda *_: pytest.fail("long work began"))
+    with pytest.raises(ValueError, match=said):
+        fmsync.synchronize_shapes(cats[:2], **OPTIONS | {"n_draws": 0} | options)
+
+
+def test_equal_names_do_not_hide_which_shape_is_meant(cats, monkeypatch):
+    same = [replace(cat, name="cat") for cat in cats]
+    plank = Shape(cats[3].vertices * [9, 1, 1], cats[3].faces, "cat")
+    with pytest.raises(ValueError, match=r"^cat \(shape 3\) is unlike the rest"):
+        fmsync.synchronize_shapes([*same[:3], plank], **OPTIONS)
+    turned = Shape(cats[1].vertices, cats[1].faces[:, ::-1], "cat")
+    monkeypatch.setattr(synchronize, "sample_shape", lambda *_: pytest.fail("long work began"))
+    for shapes in ([same[0], turned, *same[2:]], [*same[2:], same[0], turned]):
+        with pytest.raises(ValueError, match=rf"^cat \(shape {shapes.index(turned)}\): mirrored or inside out"):
+            fmsync.synchronize_shapes(shapes, **OPTIONS)
+    mirrored = {"c_ij": np.eye(2), "distortion": 1.0, "orientation": 1.0, "mirrored_distortion": 0.1}
+    monkeypatch.undo()
+    monkeypatch.setattr(synchronize, "match", lambda *_: pairwise.PairMatch(**mirrored))
+    with pytest.raises(ValueError, match=r"^cat \(shape 0\): maps that turn left into right"):
+        fmsync.synchronize_shapes(same[:2], **OPTIONS)
 
 
 def test_landmarks_are_samples_and_are_met(cats):
