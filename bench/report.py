@@ -66,9 +66,6 @@ def protocol_variants(frame: pd.DataFrame) -> list[dict]:
 def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
     """A variant of the protocol in words.
 
-    Examples
-    --------
-    >>> from bench.report import variant_name
     >>> variant_name(4, False, "consistent")
     'N = 4, one observation of a pair, noise around consistent maps'
     """

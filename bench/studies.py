@@ -25,11 +25,6 @@ def compare(ours: Callable, peer: Callable, runs: int = 5, work: Callable | None
     """Median CPU seconds of both, run in turn on one BLAS thread after one warm-up each, and the median ratio.
 
     ``work`` says of the result of a call how much it is worth, such as its effective draws: seconds are then of a unit.
-
-    Examples
-    --------
-    >>> compare(lambda: None, lambda: sum(range(100000)), runs=3)[2] > 1
-    True
     """
 
     def seconds(function: Callable) -> float:
