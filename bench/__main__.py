@@ -176,12 +176,11 @@ def _verify(arguments: argparse.Namespace) -> int:
     made = ", ".join(sorted(frame.commit.unique()))
     print(f"{arguments.runs} random runs of {', '.join(names)}; made at {made}, repeated at {current_commit()}")
     compared = verify(frame, arguments.runs, arguments.seed, n_replicas=arguments.replicas)
-    everything, reasons = [], {""}
+    everything: list = []
     for run, found in itertools.groupby(compared, lambda one: one.run):
         verdicts = list(found)
-        for reason in sorted({one.reason for one in verdicts} - reasons):
+        for reason in sorted({one.reason for one in verdicts} - {"", *(one.reason for one in everything)}):
             print(f"rows {reason}; bits need not be equal")
-            reasons.add(reason)
         print(f"{run}: {_counts(verdicts)}", flush=True)
         for one in verdicts:
             if one.metric == "edge_error" or not one.agrees:
@@ -197,12 +196,9 @@ def _counts(verdicts) -> str:
     """How many metrics were compared by which rule, and how many have equal bits though that was not demanded."""
     from bench.verify import RULES
 
-    told = []
-    for rule in RULES:
-        those = [one.verdict for one in verdicts if one.rule == rule]
-        equal = f" ({those.count('equal')} in all bits)" if rule == "tolerance" else ""
-        told += [f"{len(those)} by {rule}{equal}"] if those else []
-    return ", ".join(told)
+    counts = {rule: [one.verdict for one in verdicts if one.rule == rule] for rule in RULES}
+    equal = f" ({counts['tolerance'].count('equal')} in all bits)"
+    return ", ".join(f"{len(v)} by {rule}{equal * (rule == 'tolerance')}" for rule, v in counts.items() if v)
 
 
 def _list(arguments: argparse.Namespace) -> int:

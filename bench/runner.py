@@ -114,9 +114,9 @@ def _executor(n_jobs: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         client = distributed.Client(scheduler, timeout=5)
     except (OSError, TimeoutError, ValueError) as error:
-        raise RunError(
-            f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); "
-            "start one with 'dask scheduler' and workers with 'dask worker', and give its tcp:// address"
-        ) from error
+        why = (
+            f"{scheduler} cannot be reached ({error or type(error).__name__}); start 'dask scheduler' and 'dask worker'"
+        )
+        raise RunError(f"scheduler: {why}, and give its tcp:// address") from error
     with client, client.get_executor(pure=False) as executor:
         yield executor

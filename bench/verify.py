@@ -202,8 +202,7 @@ def _deviation(values: np.ndarray, metric: Metric) -> float:
     if not metric.few_edges:
         return float(values.std(ddof=1))
     values, weights = np.append(values, [0.0, 1.0]), np.append(np.ones(len(values)), [0.5, 0.5])
-    mean = np.average(values, weights=weights)
-    return float(np.sqrt(weights @ (values - mean) ** 2 / (weights.sum() - 1)))
+    return float(np.sqrt(weights @ (values - np.average(values, weights=weights)) ** 2 / (weights.sum() - 1)))
 
 
 def together(label: str, name: str, repeated: list[Repeated]) -> Verdict:

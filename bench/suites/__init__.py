@@ -124,13 +124,12 @@ def load_suite(
     runs = reader.runs(seeds)
     if collection:
         runs = _of_collection(runs, collection, path)
-    if only is not None:
-        try:
-            runs = [run for run in runs if re.search(only, str(run))]
-        except re.error as error:
-            raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
-        if not runs:
-            raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
+    try:
+        runs = [run for run in runs if re.search(only or "", str(run))]
+    except re.error as error:
+        raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
+    if not runs:
+        raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
     return Suite(path.stem + f"@{collection}" * bool(collection), reader.file["description"], tuple(runs))
 
 
