@@ -38,10 +38,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(run, text: str, *examples: str) -> argparse.ArgumentParser:
-        name = run.__name__.strip("_")
-        told = "\n".join(f"  python -m bench {name}{example}" for example in examples)
-        layout = {"epilog": f"example:\n{told}", "formatter_class": argparse.RawDescriptionHelpFormatter}
-        made = commands.add_parser(name, help=text, description=text, **layout)
+        name, layout = run.__name__.strip("_"), argparse.RawDescriptionHelpFormatter
+        told = "\n".join(["example:", *(f"  python -m bench {name}{example}" for example in examples)])
+        made = commands.add_parser(name, help=text, description=text, epilog=told, formatter_class=layout)
         made.set_defaults(run=run)
         return made
 
@@ -64,17 +63,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--results", type=Path, help=f"folder of the tables (default: {_RESULTS})")
     run.add_argument("--seeds", type=int, help="at most so many seeds, to begin with")
     run.add_argument("--only", metavar="REGEX", help="only runs whose description matches; writes no results")
-    text = "file that adds a method"
-    run.add_argument("--with", dest="files", action="append", default=[], metavar="FILE", help=text)
+    run.add_argument("--with", dest="files", action="append", default=[], metavar="FILE", help="that adds a method")
     run.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at a time (default: cores)")
     run.add_argument("--backend", choices=("local", "dask"), default="local", help="this machine, or a Dask cluster")
     run.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask cluster, such as tcp://127.0.0.1:8786")
     report.add_argument("suite", nargs="?", default="paper", help="default: %(default)s")
     report.add_argument("--figures", type=Path, help="also draw the figures into this folder")
-    compare.add_argument("before", type=Path)
-    compare.add_argument("after", type=Path)
-    text = "relative change to report (default: %(default)s)"
-    compare.add_argument("--tolerance", type=float, default=0.01, help=text)
+    for when in ("before", "after"):
+        compare.add_argument(when, type=Path)
+    compare.add_argument("--tolerance", type=float, default=0.01, help="relative change to report (default: 0.01)")
     verify.add_argument("suites", nargs="*", metavar="SUITE", help="default: all that have a table of results")
     verify.add_argument("--runs", type=int, default=10, help="how many, of all tables (default: %(default)s)")
     verify.add_argument("--seed", type=int, default=0, help="chooses the runs (default: %(default)s)")
@@ -103,17 +100,15 @@ def _run(arguments: argparse.Namespace) -> int:
     def on_record(run, record: dict) -> None:
         bar.update()
         if bar.disable:
-            done = f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s"
-            print(f"{done} {run}", flush=True)
+            print(f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s {run}", flush=True)
         elif record["status"] != "ok":
             bar.write(f"{record['status']}: {run}")
 
     with bar:
-        where = {"n_jobs": arguments.jobs, "scheduler": arguments.scheduler}
-        told = {"on_start": on_start, "on_record": on_record}
-        outcome = run_suite(suite.runs, ResultCache(arguments.cache), **where, **told)
-    for message in outcome.corrupt:
-        print(message)
+        options = {"n_jobs": arguments.jobs, "scheduler": arguments.scheduler}
+        options |= {"on_start": on_start, "on_record": on_record}
+        outcome = run_suite(suite.runs, ResultCache(arguments.cache), **options)
+    print(*outcome.corrupt, sep="\n", end="\n" * bool(outcome.corrupt))
     failed = [record for record in outcome.records if record["status"] != "ok"]
     finished, seconds = len(outcome.records) - len(failed), time.perf_counter() - began
     print(f"{finished} finished ({outcome.n_cached} of them before), {len(failed)} failed, {seconds:.1f} s")
@@ -181,12 +176,11 @@ def _verify(arguments: argparse.Namespace) -> int:
     made = ", ".join(sorted(frame.commit.unique()))
     print(f"{arguments.runs} random runs of {', '.join(names)}; made at {made}, repeated at {current_commit()}")
     compared = verify(frame, arguments.runs, arguments.seed, n_replicas=arguments.replicas)
-    everything, reasons = [], {""}
+    everything: list = []
     for run, found in itertools.groupby(compared, lambda one: one.run):
         verdicts = list(found)
-        for reason in sorted({one.reason for one in verdicts} - reasons):
+        for reason in sorted({one.reason for one in verdicts} - {"", *(one.reason for one in everything)}):
             print(f"rows {reason}; bits need not be equal")
-            reasons.add(reason)
         print(f"{run}: {_counts(verdicts)}", flush=True)
         for one in verdicts:
             if one.metric == "edge_error" or not one.agrees:
@@ -202,12 +196,9 @@ def _counts(verdicts) -> str:
     """How many metrics were compared by which rule, and how many have equal bits though that was not demanded."""
     from bench.verify import RULES
 
-    told = []
-    for rule in RULES:
-        those = [one.verdict for one in verdicts if one.rule == rule]
-        equal = f" ({those.count('equal')} in all bits)" if rule == "tolerance" else ""
-        told += [f"{len(those)} by {rule}{equal}"] if those else []
-    return ", ".join(told)
+    counts = {rule: [one.verdict for one in verdicts if one.rule == rule] for rule in RULES}
+    equal = f" ({counts['tolerance'].count('equal')} in all bits)"
+    return ", ".join(f"{len(v)} by {rule}{equal * (rule == 'tolerance')}" for rule, v in counts.items() if v)
 
 
 def _list(arguments: argparse.Namespace) -> int:

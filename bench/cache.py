@@ -1,13 +1,12 @@
 """The result cache: a small file for each run, named by what went into it; failures are kept apart."""
 
-import contextlib
 import hashlib
 import json
-import os
-import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from fmsync.files import replacing
 
 
 class CorruptRecordError(ValueError):
@@ -17,28 +16,10 @@ class CorruptRecordError(ValueError):
 def key_of(content: Mapping[str, object]) -> str:
     """SHA-256 of plain JSON values; the order of the keys does not matter.
 
-    Examples
-    --------
-    >>> from bench.cache import key_of
     >>> key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
     True
     """
     return hashlib.sha256(_dump(content)).hexdigest()
-
-
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A file to write, which takes the place of ``path`` if all goes well.
-
-    Its name is unique: whoever is killed, or writes at the same time, leaves a whole file or none.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -53,25 +34,22 @@ class ResultCache:
 
     def write(self, key: str, record: Mapping[str, object]) -> None:
         """Keep a record: a failure is never read as a result, so that the next run tries again."""
-        finished = record["status"] == "ok"
-        text = _dump({"sha256": hashlib.sha256(_dump(record)).hexdigest(), "record": record})
-        with replacing(self.path(key, "json" if finished else "failed")) as temporary:
-            temporary.write_bytes(text)  # not synced: after a power cut the checksum fails
-        if finished:
+        path = self.path(key, "json" if record["status"] == "ok" else "failed")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as file:  # not synced: after a power cut the checksum fails
+            file.write(_dump({"sha256": key_of(record), "record": record}))
+        if record["status"] == "ok":
             self.path(key, "failed").unlink(missing_ok=True)
 
     def read(self, key: str, suffix: str = "json") -> dict | None:
         """The record of a finished run or, with the suffix ``"failed"``, of its last failure; None if there is none.
 
-        Raises
-        ------
-        CorruptRecordError
-            The file is there but damaged.
+        A :class:`CorruptRecordError` if the file is there but damaged.
         """
         path = self.path(key, suffix)
         try:
             wrapped = json.loads(path.read_bytes())
-            if wrapped["sha256"] != hashlib.sha256(_dump(wrapped["record"])).hexdigest():
+            if wrapped["sha256"] != key_of(wrapped["record"]):
                 raise ValueError("checksum")
         except FileNotFoundError:
             return None

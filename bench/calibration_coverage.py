@@ -41,11 +41,8 @@ _COVERED = {q: f"covered_{round(100 * q)}" for q in NOMINAL}
 _FIELDS = ["noise", "level", "model", "problem", "cpu_seconds", *_MEANS, *_COVERED.values()]
 
 CASES = [("langevin", kappa, "langevin") for kappa in (8.0, 11.0, 20.0, 50.0)]
-CASES += [
-    ("projected-gaussian", sigma2, model)
-    for model in ("projected-gaussian", "langevin", "beta = 1")
-    for sigma2 in (0.02, 0.05, 0.1, 0.2)
-]
+for _model in ("projected-gaussian", "langevin", "beta = 1"):
+    CASES += [("projected-gaussian", sigma2, _model) for sigma2 in (0.02, 0.05, 0.1, 0.2)]
 
 
 def one(noise: str, level: float, model: str, problem: int, n: int = 20, n_draws: int = 300) -> dict[str, object]:
@@ -91,10 +88,8 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
 
 def missing(path: Path, n_problems: int) -> list[tuple]:
     """(noise, level, model, problem) not in the file yet, all cases of a problem together."""
-    known = set()
-    if path.exists():
-        rows = pd.read_csv(path)
-        known = set(zip(rows.noise, rows.level, rows.model, rows.problem))
+    rows = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=_FIELDS)
+    known = set(zip(rows.noise, rows.level, rows.model, rows.problem))
     wanted = [(*case, k) for k in range(n_problems) for case in CASES if case[0] == case[2] or k % _WRONG_EVERY == 0]
     return [line for line in wanted if line not in known]
 

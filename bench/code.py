@@ -20,14 +20,7 @@ def code_hash(generator_module: str, method_module: str) -> str:
 
     Of the two modules, those files of ``bench`` count too that they import something from. Comments, docstrings and
     layout do not count. The source is read once in a process, which has imported it.
-
-    Examples
-    --------
-    >>> from bench.code import code_hash
-    >>> mle, oracle = (code_hash("bench.problems", f"{name}") for name in ("fmsync.estimators.mle", "bench.methods.oracle"))
-    >>> mle == oracle
-    False
-    """  # noqa: E501
+    """
     files = {file for package in (fmsync, data_gen) for file in Path(package.__file__).parent.rglob("*.py")}
     names = {generator_module, method_module, *_MEASURED_BY}
     for module in map(importlib.import_module, (generator_module, method_module)):

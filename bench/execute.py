@@ -31,6 +31,7 @@ from fmsync.threads import single_threaded_blas
 
 _ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
 _SERVE = [sys.executable, "-c", "from bench.execute import serve; serve()"]
+_NO_LIMITS = contextlib.nullcontext()
 _WORKERS: set[subprocess.Popen] = set()  # all of this process ...
 _IDLE: list[subprocess.Popen] = []  # ... and those without a run
 
@@ -83,35 +84,15 @@ def serve() -> None:
             records.flush()
 
 
-def execute(
-    run: Run,
-    commit: str = "unknown",
-    replica: int = 0,
-    *,
-    limits: contextlib.AbstractContextManager[object] | None = None,
-) -> dict:
-    """Make the problem, run the method, measure the answer.
+def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limits=_NO_LIMITS) -> dict:
+    """Make the problem, run the method within ``limits`` (a context manager), measure the answer.
 
-    Parameters
-    ----------
-    run
-        The method and the problem.
-    commit
-        Is written into the record.
-    replica
-        0 for the run that belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how
-        much the answer varies: a sampler draws other random numbers; any other method keeps its random numbers and
-        gets observed maps, and bases of shapes, whose entries are moved by about 1e-13, as if they had been computed
-        in another arithmetic.
-    limits
-        In force while the method runs; none by default, since they are those of a process.
+    Replica 0 belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how much the answer
+    varies: a sampler draws other random numbers; any other method keeps its random numbers and gets observed maps, and
+    bases of shapes, whose entries are moved by about 1e-13, as if they had been computed in another arithmetic.
 
-    Returns
-    -------
-    dict
-        Plain JSON values: ``status`` "ok", "memory" or "error" (with ``traceback``), ``metrics`` as rows
-        (name, at, value), among them seconds, CPU seconds and the growth of memory in MB; machine, versions,
-        arithmetic, commit.
+    Returns plain JSON values, see :func:`record_of`: ``status`` "ok", "memory" or "error" (with ``traceback``) and
+    ``metrics`` as rows (name, at, value), among them seconds, CPU seconds and the growth of memory in MB.
     """
     outcome: dict = {"status": "ok"}
     began = time.perf_counter()
@@ -125,7 +106,7 @@ def execute(
             _warm(method, run.options)
             before = _peak(forget=True)
             began, cpu = time.perf_counter(), time.process_time()
-            with limits or contextlib.nullcontext():
+            with limits:
                 answer = method.run(planted, rng, run.options)
             spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
             if replica and method.kind == "sampler":
@@ -142,17 +123,9 @@ def execute(
 
 def record_of(run: Run, commit: str, **outcome: object) -> dict:
     """A record: what the run is, where it was made, and its outcome."""
-    return {
-        **run.content,
-        "code": run.code,  # as this process has it
-        "label": run.label,
-        "commit": commit,
-        "machine": machine(),
-        "versions": versions(),
-        "arithmetic": arithmetic(),
-        "metrics": [],
-        **outcome,
-    }
+    what = {**run.content, "code": run.code, "label": run.label}  # the code as this process has it
+    where = {"commit": commit, "machine": machine(), "versions": versions(), "arithmetic": arithmetic()}
+    return {**what, **where, "metrics": [], **outcome}
 
 
 @contextlib.contextmanager

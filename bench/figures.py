@@ -17,23 +17,24 @@ _MARKERS = "osD^v<>pPXd"
 def errors(table: pd.DataFrame) -> Figure:
     """Error against noise, a panel for each row of :func:`bench.report.table1`, the paper's numbers as crosses.
 
-    Densities as in the paper: solid 1, dashed .833, dotted .667. The bound is dotted where errors are not small.
+    Densities as in the paper: solid 1, dashed .833, dotted .667. The lower bound of density 1 is dotted where the error
+    is too large for it to hold.
     """
     labels = [label for label in table.label.cat.categories if label != "observed"]
     rows = -(-len(labels) // 2)
     figure = Figure(figsize=(_WIDTH, 1.9 * rows + 1.0), layout="constrained")
     axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
-    for axis in axes.flat[len(labels) :]:
-        axis.set_visible(False)
+    if len(labels) % 2:
+        axes.flat[-1].set_visible(False)
     for axis, label in zip(axes.flat, labels):
         for density, part in table[table.label == label].groupby("density", observed=True):
             line, *_ = axis.plot(part.sigma2, part["mean"], _STYLES.get(density, "-"), label=f"density {density:g}")
             axis.fill_between(part.sigma2, part.low, part.high, color=line.get_color(), alpha=0.2, lw=0)
             axis.plot(part.sigma2, part.paper, "x", color=line.get_color())
         complete = table[(table.label == label) & (table.density == 1)]
-        for valid, style, name in ((True, "k-", "bound"), (False, "k:", "bound of small errors, not valid")):
-            part = complete[complete.valid == valid]
-            axis.plot(part.sigma2, part.floor, style, lw=1.2, label=name if len(part) else None)
+        axis.plot(complete.sigma2, complete.floor, "k:", lw=1.2, label="lower bound, not valid")
+        valid = complete[complete.bound_valid]
+        axis.plot(valid.sigma2, valid.floor, "k.-", lw=1.2, label="lower bound" if len(valid) else None)
         axis.set_title(str(label), fontsize=11)
         axis.set(ylim=(0, 7), xticks=sorted(table.sigma2.unique())[1::2])
     axes[0, 0].plot([], [], "x", color="0.3", label="the paper")
@@ -96,10 +97,10 @@ def oracle(frame: pd.DataFrame) -> Figure:
 
 
 def error_against_seconds(board: pd.DataFrame) -> Figure:
-    """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the bound as a line.
+    """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the lower bound as a line.
 
-    Root mean squares, as the bound is. Names stand at the right, in the order of the errors; who makes none, since it
-    sees the truth, is left out.
+    Errors are root mean squares, as the bound is. Names stand at the right, in their order; methods
+    without error, which see the truth, are left out.
     """
     rows = board[board.cpu.notna() & (board.rms > 0)]
     kinds = dict(iter(rows.groupby("problem", sort=False)))
@@ -160,12 +161,10 @@ def _differences(problems: list[str]) -> list[str]:
     told = [name for name in names if len({json.dumps(one.get(name)) for one in values}) > 1]
     spoken = {"sigma2": "σ²", "n_nodes": "shapes", "kappa": "κ"}
 
-    def short(value: object) -> str:
-        return f"{value:.3g}" if isinstance(value, float) else str(value)
+    def told_of(name: str, value: object) -> str:
+        return f"{spoken.get(name, name)} = {f'{value:.3g}' if isinstance(value, float) else value}"
 
-    return [
-        ", ".join(f"{spoken.get(n, n)} = {short(one[n])}" for n in told if one.get(n) is not None) for one in values
-    ]
+    return [", ".join(told_of(name, one[name]) for name in told if one.get(name) is not None) for one in values]
 
 
 def _name_at_the_right(axis: Axes, names, x, y) -> None:

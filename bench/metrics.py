@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+STANDARD_ERRORS = 4.0  # of one problem: the largest difference where chains part
 _ROUNDING = 1e-9  # absolute: what should be zero, such as the cycle error of absolute maps, has no relative precision
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 
@@ -12,32 +13,16 @@ LEVELS = (0.5, 0.8, 0.9, 0.95)
 class Metric:
     """A number that tables show, and how :mod:`bench.verify` compares it with the number of another run.
 
-    Attributes
-    ----------
-    name, unit
-        As in the tables.
-    direction
-        Which way is better: ``"lower"``, ``"higher"`` or ``"none"`` for context.
-    tolerance
-        Largest relative difference between processors, beside 1e-9; None for what the load of a machine
-        decides (time, memory), which is not compared.
-    standard_errors
-        Largest difference where chains part, in Monte Carlo standard errors of one problem.
-    few_edges
-        Whether it is a share of the edges of one problem. These are few and cross a threshold together, so that runs
-        which all give the same share do not show that another run could not give a different one.
-
-    Examples
-    --------
-    >>> METRICS["edge_error"].tolerance, METRICS["seconds"].tolerance
-    (1e-06, None)
+    ``few_edges``: whether it is a share of the edges of one problem. These are few and cross a threshold together, so
+    that runs which all give the same share do not show that another run could not give a different one.
     """
 
     name: str
     unit: str
-    direction: str
-    tolerance: float | None = 1e-6
-    standard_errors: float = 4.0
+    direction: str  # which way is better: "lower", "higher", or "none"
+    tolerance: float | None = (
+        1e-6  # relative, between processors; None for what the load decides, which is not compared
+    )
     few_edges: bool = False
 
     def allowed(self, value: float) -> float:
@@ -101,8 +86,6 @@ def area_under_curve(errors: np.ndarray, largest: float) -> float:
 def thinned(count: int, most: int) -> np.ndarray:
     """At most ``most`` indices spread evenly over 0..count-1.
 
-    Examples
-    --------
     >>> thinned(10, 4).tolist()
     [0, 3, 6, 9]
     """

@@ -15,21 +15,10 @@ _MOST_PAIRS = 2000  # pairs that an "all pairs" metric looks at; larger problems
 class Planted:
     """A problem with a known answer. Methods see ``problem`` alone, controls that ask for it see the truth too.
 
-    Attributes
-    ----------
-    problem
-        What was observed.
-    truth
-        (N, n, n) rotations.
-    references
-        Numbers to draw beside the measured ones, by metric name: lower bound and expected value of the error.
-    bases
-        The N bases of the shapes, where point maps are to be scored; else ().
-    scored
-        (P,) evaluation vertices, whose images are scored, the same on every shape.
-    distances
-        (P, V) geodesic distances of each shape from its scored vertices to all of its vertices, in units of the square
-        root of its area; same length as ``bases``.
+    ``truth`` (N, n, n) are rotations, ``references`` lower bound and expected value of the error by metric name. Where
+    point maps are to be scored, ``bases`` are those of the N shapes, ``scored`` (P,) the vertices whose images are
+    scored, the same on every shape, and ``distances`` for each shape (P, V) geodesic distances from these vertices to
+    all, in square roots of its area.
     """
 
     problem: SyncProblem

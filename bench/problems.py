@@ -35,14 +35,7 @@ def rotations(
     two_way: bool = False,
     outliers: float = 0.0,
 ) -> Planted:
-    """Haar-random absolute maps on a random connected graph.
-
-    Examples
-    --------
-    >>> from bench.problems import rotations
-    >>> rotations(seed=0, n_nodes=4, n=5, sigma2=0.1).problem.n_edges
-    6
-    """
+    """Haar-random absolute maps on a random connected graph; all else as in :func:`data_gen.perturb`."""
     for_graph, for_truth, for_noise = _streams(seed)
     truth = planted_rotations(n_nodes, n, random_graph(n_nodes, density, for_graph), for_truth)
     return _observed(truth, for_noise, sigma2=sigma2, kappa=kappa, noise=noise, two_way=two_way, outliers=outliers)
@@ -66,15 +59,8 @@ def shapes(
 ) -> Planted:
     """Functional maps between ``n_nodes`` random shapes of a collection, in the paper's protocol.
 
-    Parameters
-    ----------
-    seed
-        Chooses the shapes, the graph and the noise.
-    collection, n_vertices
-        See :func:`data_gen.load_collection`; vertices are those of the synthetic cats.
-    points
-        Bring the bases, and geodesic distances from so many vertices, spread evenly over their order, so that point
-        maps can be scored.
+    The seed chooses shapes, graph and noise. ``n_vertices`` are those of the synthetic cats. With ``points`` it
+    has the bases, and geodesic distances from so many vertices, evenly over their order, so that point maps are scored.
     """
     for_graph, for_choice, for_noise = _streams(seed)
     source = collection, n_vertices, _stamps(collection)
@@ -94,13 +80,7 @@ def shapes(
 
 
 def data_files(problem: Mapping[str, object]) -> list[Path]:
-    """Files that a problem is read from, none for what is made by this package alone; ValueError if they are missing.
-
-    Examples
-    --------
-    >>> data_files({"collection": "cats", "n": 20})
-    []
-    """
+    """Files that a problem is read from, none for what this package makes; ValueError if they are missing."""
     collection = problem.get("collection", "cats")
     return [] if collection == "cats" else collection_files(collection)
 

@@ -19,34 +19,22 @@ _BOARD = ["problem", "label", "error", "low", "high", "rms", "seconds", "cpu", "
 
 
 def paper_table() -> pd.DataFrame:
-    """The 75 printed cells: label, density, sigma2, paper.
-
-    Examples
-    --------
-    >>> from bench.report import paper_table
-    >>> len(paper_table())
-    75
-    """
+    """The 75 printed cells: label, density, sigma2, paper."""
     return pd.read_csv(_PAPER)
 
 
 def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, around: str = "consistent") -> pd.DataFrame:
-    """Results of the suite ``paper`` in one variant of its protocol, beside the printed cells.
+    """Results (see :func:`bench.results.read`) of the suite ``paper`` beside the printed cells.
 
-    Parameters
-    ----------
-    frame
-        Rows of :func:`bench.results.read`.
-    n_nodes, two_way, around
-        The variant: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured maps.
+    The variant of the protocol: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured
+    maps.
 
     Returns
     -------
     DataFrame
         label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
-        agrees (whether the printed number lies in the interval), floor (the Cramér–Rao bound) and expected (root mean
-        squares), valid (whether errors are small enough for the bound), recoverable (whether σ² is below the heuristic
-        threshold at this density).
+        agrees (whether the printed number lies in the interval), floor (lower bound) and expected (root mean squares),
+        recoverable (:func:`fmsync.bounds.recovery_threshold`), bound_valid (:func:`fmsync.bounds.is_small_error`).
     """
     where = (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & frame.density.notna()
     chosen = frame[where & (frame.around.fillna("consistent") == around)]
@@ -60,9 +48,10 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     for name in ("floor", "expected"):
         lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
         table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
-    n, k = int(chosen.n.iloc[0]), 2 if two_way else 1
-    table["valid"] = is_small_error(n, table.floor**2)
-    table["recoverable"] = table.sigma2 < table.density.map(lambda density: recovery_threshold(n_nodes, n, k, density))
+    n, per_pair = int(chosen.n.iloc[0]), 2 if two_way else 1
+    thresholds = {share: recovery_threshold(n_nodes, n, per_pair, density=share) for share in table.density.unique()}
+    table["recoverable"] = table.sigma2 < table.density.map(thresholds)
+    table["bound_valid"] = is_small_error(n, table.floor**2)
     table["label"] = pd.Categorical(table.label, labels, ordered=True)
     return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
 
@@ -77,9 +66,6 @@ def protocol_variants(frame: pd.DataFrame) -> list[dict]:
 def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
     """A variant of the protocol in words.
 
-    Examples
-    --------
-    >>> from bench.report import variant_name
     >>> variant_name(4, False, "consistent")
     'N = 4, one observation of a pair, noise around consistent maps'
     """
@@ -88,17 +74,10 @@ def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
 
 
 def relative_performance(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Every method on every suite: its error over that of the best method, the geometric mean over the problems.
+    """Every method (rows) on every suite (columns): its error over that of the best, geometric mean over the problems.
 
-    Parameters
-    ----------
-    boards
-        Tables of :func:`scoreboard` by the name of their suite. Methods without error see the truth and do not count.
-
-    Returns
-    -------
-    DataFrame
-        label in rows, suites in columns; 1 is the best of all on every problem, NaN did not take part.
+    ``boards`` are tables of :func:`scoreboard` by suite. 1 is the best of all on every problem, NaN did not take part.
+    Methods without error see the truth and do not count.
     """
     columns = {}
     for name, board in boards.items():
@@ -112,11 +91,8 @@ def relative_performance(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     """One row for every method and kind of problem of a suite, best error first within a problem.
 
-    Returns
-    -------
-    DataFrame
-        problem, label, error (mean over seeds), low, high, rms (as floor and expected are), seconds and cpu (medians),
-        memory (median, MB), failed (runs without an answer), floor and expected where theory knows them.
+    Columns: problem, label, error (mean over seeds), low, high, rms, seconds, cpu and memory (medians, MB), failed
+    (runs without an answer); floor (lower bound) and expected, root mean squares, where theory knows them.
     """
     scalar, keys = frame[frame["at"].isna()], ["problem", "label"]
 
@@ -142,7 +118,7 @@ def report(frame: pd.DataFrame) -> str:
         lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
     else:
         for problem, group in scoreboard(frame).groupby("problem", sort=False):
-            shown = group.drop(columns="problem").dropna(axis="columns", how="all")
+            shown = group.drop(columns="problem").dropna(axis="columns", how="all").rename(columns={"floor": "bound"})
             lines += [_named(problem), shown.to_string(index=False, float_format="{:.4g}".format)]
     failed = frame[frame.status != "ok"]
     if len(failed):
@@ -154,14 +130,13 @@ def report(frame: pd.DataFrame) -> str:
 
 def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
     """Draw the figures of a suite as PNG files into a folder; gives their paths."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    Path(folder).mkdir(parents=True, exist_ok=True)
     if _is_paper(frame):
         variants = protocol_variants(frame)
         tables = {variant_name(**v): table1(frame, **v) for v in variants}
         slugs = [f"{v['n_nodes']}_{'two' if v['two_way'] else 'one'}_{v['around']}" for v in variants]
         drawn = {f"table1_{slug}": figures.errors(table) for slug, table in zip(slugs, tables.values())}
-        drawn |= {"density": figures.density(tables)}
+        drawn["density"] = figures.density(tables)
         drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
     else:
         board = scoreboard(frame)
@@ -169,7 +144,7 @@ def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
         drawn = {"scoreboard": figures.error_against_seconds(board[board.problem.isin(first)])}
         if frame.metric.eq("point_curve").any():
             drawn["points"] = figures.point_curves(frame)
-    paths = {folder / f"{frame.suite.iloc[0]}_{name}.png": figure for name, figure in drawn.items()}
+    paths = {Path(folder, f"{frame.suite.iloc[0]}_{name}.png"): figure for name, figure in drawn.items()}
     for path, figure in paths.items():
         figure.savefig(path)
     return list(paths)
@@ -189,9 +164,9 @@ def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
             text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
         text += "" if row.recoverable else "'"
         cells[row.label, row.density, row.noise] = text
-    for name, shown in (("floor", "bound"), ("expected", "expected")):
+    for name, column in {"bound": "floor", "expected": "expected"}.items():
         for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
-            cells[f"{shown} (rms)", row.density, row.noise] = f"{getattr(row, name):.2f}"
+            cells[f"{name} (rms)", row.density, row.noise] = f"{getattr(row, column):.2f}"
     wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
     return (
         f"{variant_name(**variant)}\nours [95 % interval] / paper; "

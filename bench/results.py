@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bench.cache import replacing
 from bench.metrics import METRICS
+from fmsync.files import replacing
 
 #: Parameters of problems that have a column of their own; the rest stays in ``problem``.
 _NUMBERS = ("n_nodes", "n", "density", "sigma2", "kappa", "outliers")
 PARAMETERS = (*_NUMBERS, "noise", "two_way", "around", "collection")
-_WHAT = (
-    *("generator", "problem", "seed", "label", "method", "options", "status"),
-    *("commit", "machine", "versions", "arithmetic", "code"),
-)
+_WHAT = ("generator", "problem", "seed", "label", "method", "options", "status")
+_WHERE = ("commit", "machine", "versions", "arithmetic", "code")
 _RESAMPLES = 2000
 
 
@@ -36,7 +34,9 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     """  # noqa: E501
     rows = []
     for record in records:
-        run = {"suite": suite} | {name: record.get(name) for name in _WHAT} | {name: None for name in PARAMETERS}
+        run = (
+            {"suite": suite} | {name: record.get(name) for name in _WHAT + _WHERE} | {name: None for name in PARAMETERS}
+        )
         run |= {name: value for name, value in record["problem"].items() if name in PARAMETERS}
         run |= {name: json.dumps(record[name], sort_keys=True) for name in ("problem", "options")}
         run["detail"] = (record.get("traceback") or "").strip().rpartition("\n")[2] or None
@@ -53,8 +53,9 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
 def write(frame: pd.DataFrame, path: str | Path) -> None:
     """Write Parquet; the file appears whole or not at all."""
     repeated = [name for name in frame.columns if frame[name].dtype == object]
-    with replacing(Path(path)) as temporary:
-        frame.astype({name: "category" for name in repeated}).to_parquet(temporary, compression="zstd", index=False)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as file:
+        frame.astype({name: "category" for name in repeated}).to_parquet(file, compression="zstd", index=False)
 
 
 def read(path: str | Path) -> pd.DataFrame:
@@ -69,8 +70,6 @@ def read(path: str | Path) -> pd.DataFrame:
 def bootstrap(values: Sequence[float], level: float = 0.95) -> tuple[float, float]:
     """Percentile interval of the mean over resampled seeds; NaN for fewer than two.
 
-    Examples
-    --------
     >>> low, high = bootstrap([1.0, 2.0, 3.0, 4.0])
     >>> 1.0 < low < 2.5 < high < 4.0
     True
@@ -85,16 +84,9 @@ def bootstrap(values: Sequence[float], level: float = 0.95) -> tuple[float, floa
 
 
 def summarise(frame: pd.DataFrame, by: Sequence[str], metric: str) -> pd.DataFrame:
-    """Mean over seeds of a metric, with its bootstrap interval and the number of seeds, for every group.
-
-    Columns: ``by``, mean, low, high, seeds.
-    """
-    wanted = frame[frame.metric == metric]
-    groups = wanted.groupby(list(by), dropna=False, sort=False)["value"]
-    rows = [
-        (*(key if isinstance(key, tuple) else (key,)), values.mean(), *bootstrap(values), len(values))
-        for key, values in groups
-    ]
+    """Mean over seeds of a metric for every group: the columns ``by``, mean, low, high (bootstrap interval), seeds."""
+    groups = frame[frame.metric == metric].groupby(list(by), dropna=False, sort=False)["value"]
+    rows = [(*key, values.mean(), *bootstrap(values), len(values)) for key, values in groups]
     return pd.DataFrame(rows, columns=[*by, "mean", "low", "high", "seeds"])
 
 
@@ -103,12 +95,8 @@ def compare(before: pd.DataFrame, after: pd.DataFrame, tolerance: float = 0.01) 
 
     A row for every method, metric and problem whose relative change exceeds ``tolerance`` (five times that for seconds
     and memory) and whose bootstrap interval of the paired differences excludes 0, and for every run that failed in one
-    of the two alone. Metrics without a better direction are left out.
-
-    Returns
-    -------
-    DataFrame
-        label, metric, problem, before, after, change, verdict "worse", "better" or a status.
+    of the two alone. Metrics without a better direction are left out. Columns: label, metric, problem, before, after,
+    change, verdict ("worse", "better" or the two statuses).
     """
     keys = ["generator", "problem", "label", "metric"]
     scalar = [frame[frame["at"].isna() & frame.metric.notna()] for frame in (before, after)]

@@ -38,8 +38,6 @@ def run_suite(
 
     Parameters
     ----------
-    runs, cache
-        What to execute and where records are kept.
     n_jobs
         Runs at a time on this machine, each with one BLAS thread.
     scheduler
@@ -47,10 +45,7 @@ def run_suite(
     on_record, on_start
         Told of every run as it ends, and first of how many were found and are left.
 
-    Raises
-    ------
-    RunError
-        Nothing can be written any more (a full disk), or the scheduler cannot be reached. Finished runs are kept.
+    A :class:`RunError` where nothing can be written (a full disk), or the scheduler cannot be reached.
     """
     if n_jobs < 1:
         raise ValueError(f"n_jobs: need at least one process, got {n_jobs}")
@@ -119,9 +114,9 @@ def _executor(n_jobs: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         client = distributed.Client(scheduler, timeout=5)
     except (OSError, TimeoutError, ValueError) as error:
-        raise RunError(
-            f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); "
-            "start one with 'dask scheduler' and workers with 'dask worker', and give its tcp:// address"
-        ) from error
+        why = (
+            f"{scheduler} cannot be reached ({error or type(error).__name__}); start 'dask scheduler' and 'dask worker'"
+        )
+        raise RunError(f"scheduler: {why}, and give its tcp:// address") from error
     with client, client.get_executor(pure=False) as executor:
         yield executor

@@ -1,7 +1,6 @@
 """What the stand-alone studies share: CPU seconds, timing in pairs, and a JSON file to which each adds its part."""
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.provenance import machine
+from fmsync.files import replacing
 from fmsync.threads import single_threaded_blas
 
 
@@ -25,11 +25,6 @@ def compare(ours: Callable, peer: Callable, runs: int = 5, work: Callable | None
     """Median CPU seconds of both, run in turn on one BLAS thread after one warm-up each, and the median ratio.
 
     ``work`` says of the result of a call how much it is worth, such as its effective draws: seconds are then of a unit.
-
-    Examples
-    --------
-    >>> compare(lambda: None, lambda: sum(range(100000)), runs=3)[2] > 1
-    True
     """
 
     def seconds(function: Callable) -> float:
@@ -49,6 +44,5 @@ def add_part(path: Path, part: str, found: Mapping, command: str) -> None:
     table = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     table[part] = {"command": command, "machine": machine(), **found}
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(f".part{os.getpid()}")
-    unfinished.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(unfinished, path)
+    with replacing(path) as file:
+        file.write(f"{json.dumps(table, indent=1, ensure_ascii=False)}\n".encode())

@@ -35,7 +35,7 @@ from scipy import stats
 from bench import methods
 from bench.code import data_hash
 from bench.execute import isolated
-from bench.metrics import METRICS, Metric
+from bench.metrics import METRICS, STANDARD_ERRORS, Metric
 from bench.provenance import machine, versions
 from bench.suites import Run
 from data_gen.cache import arithmetic
@@ -79,8 +79,7 @@ class Repeated:
         metric, self.count = _metric(name), len(values)
         self.before, self.mean = before, float(np.mean(values))
         self.deviation = _deviation(np.array(values), metric)
-        # Student's quantile that is exceeded as rarely as the standard errors of the metric by a normal variable
-        quantile = stats.t.isf(stats.norm.sf(metric.standard_errors), self.count - 1)
+        quantile = stats.t.isf(stats.norm.sf(STANDARD_ERRORS), self.count - 1)
         self.interval = float(quantile * self.deviation * np.sqrt(1 + 1 / self.count)) + metric.allowed(before)
         self.excess = abs(before - self.mean) - self.interval
 
@@ -100,18 +99,7 @@ def verify(
     :func:`bench.results.read`) that gave an answer and whose data are on this machine.
 
     A run that is outside of the tolerance at first is repeated ``n_replicas`` >= 3 times. With 16 the quantile that
-    stands for four standard errors is 5.4, with 8 it is 7.6, with 4 it is 17. ``execute`` is called with a run, and
-    with ``replica=k`` for the repetitions; see :func:`bench.execute.execute`.
-
-    Examples
-    --------
-    >>> from bench import results
-    >>> from bench.execute import execute
-    >>> from bench.suites import Run
-    >>> run = Run("bench.problems:rotations", {"n_nodes": 4, "n": 3, "sigma2": 0.1}, 0, "mle", "mle")
-    >>> table = results.to_frame("mine", [execute(run)])
-    >>> {(one.rule, one.verdict) for one in verify(table, 1, rng=0, execute=execute)}
-    {('bits', 'equal')}
+    stands for four standard errors is 5.4, with 8 it is 7.6, with 4 it is 17.
     """
     if n_replicas < _FEWEST:
         raise ValueError(f"n_replicas: need at least {_FEWEST} to know how much runs vary, got {n_replicas}")
@@ -214,8 +202,7 @@ def _deviation(values: np.ndarray, metric: Metric) -> float:
     if not metric.few_edges:
         return float(values.std(ddof=1))
     values, weights = np.append(values, [0.0, 1.0]), np.append(np.ones(len(values)), [0.5, 0.5])
-    mean = np.average(values, weights=weights)
-    return float(np.sqrt(weights @ (values - mean) ** 2 / (weights.sum() - 1)))
+    return float(np.sqrt(weights @ (values - np.average(values, weights=weights)) ** 2 / (weights.sum() - 1)))
 
 
 def together(label: str, name: str, repeated: list[Repeated]) -> Verdict:
@@ -225,6 +212,6 @@ def together(label: str, name: str, repeated: list[Repeated]) -> Verdict:
     now = float(np.average([one.mean for one in repeated], weights=weights))
     # of a standardised difference the variance is Student's times 1 + 1/k; the sum of several is nearly normal
     variances = [(1 + 1 / one.count) * (one.count - 1) / (one.count - 3) for one in repeated]
-    interval = _metric(name).standard_errors * np.sqrt(sum(variances)) / weights.sum()
+    interval = STANDARD_ERRORS * np.sqrt(sum(variances)) / weights.sum()
     verdict = "agrees" if abs(before - now) <= interval else "differs"
     return Verdict(f"{label}: runs together", name, before, now, interval, verdict, "Monte Carlo together")

@@ -2,7 +2,7 @@
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
 Entry = TypeVar("Entry", bound=Callable[..., object])
@@ -31,11 +31,15 @@ class Registry(dict[str, Entry]):
     def find(self, method: str, options: Mapping[str, object]) -> tuple[Entry, list[str]]:
         """The entry and the options it knows; a ValueError with the nearest names, or with the options it does know."""
         if method not in self:
-            close = difflib.get_close_matches(method, self.names())
-            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(self.names())}"
-            raise ValueError(f"method: no {self._kind} is called {method!r}; {hint}")
+            raise ValueError(f"method: no {self._kind} is called {method!r}; {near_names(method, self)}")
         known = [name for name in inspect.signature(self[method]).parameters if name not in self._given]
         unknown = sorted(set(options) - set(known))
         if unknown:
             raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
         return self[method], known
+
+
+def near_names(name: str, known: Iterable[str]) -> str:
+    """What an error says after a name that is not known."""
+    close = difflib.get_close_matches(name, list(known))
+    return f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(sorted(known))}"

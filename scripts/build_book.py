@@ -50,11 +50,10 @@ def cpu_of_kernels() -> float:
 
 def date_of_the_text() -> str | None:
     """Seconds since 1970 of the last commit, which pages then carry as their date; None without git or a repository."""
-    try:
-        told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
-    except FileNotFoundError:
+    if shutil.which("git") is None:
         return None
-    return told.stdout.strip() if told.returncode == 0 else None
+    told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
+    return told.stdout.strip() or None
 
 
 def quiet_profile(folder: Path, extension: Path | None = None) -> str:

@@ -22,20 +22,17 @@ class Claims(ast.NodeTransformer):
     """Replaces each ``assert`` by calls of ``__claim__``."""
 
     def visit_Assert(self, node: ast.Assert) -> ast.stmt:
-        parts = node.test.values if _is_and(node.test) else [node.test]
+        is_and = isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.And)
+        parts = node.test.values if is_and else [node.test]
         calls = [ast.Expr(self._call(part)) for part in parts]
         block = calls[0] if len(calls) == 1 else ast.If(ast.Constant(True), calls, [])
         return ast.fix_missing_locations(ast.copy_location(block, node))
 
     def _call(self, test: ast.expr) -> ast.Call:
         comparison, reduce = test, None
-        if (
-            isinstance(test, ast.Call)
-            and isinstance(test.func, ast.Attribute)
-            and test.func.attr == "all"
-            and isinstance(test.func.value, ast.Compare)
-        ):
-            comparison, reduce = test.func.value, "all"
+        match test:
+            case ast.Call(func=ast.Attribute(value=ast.Compare() as comparison, attr="all")):
+                reduce = "all"
         if isinstance(comparison, ast.Compare):
             operands = [comparison.left, *comparison.comparators]
             names = [type(op).__name__ for op in comparison.ops]
@@ -44,10 +41,6 @@ class Claims(ast.NodeTransformer):
         arguments = [ast.Constant(ast.unparse(test)), ast.List(operands, ast.Load())]
         arguments += [ast.Constant(tuple(names)), ast.Constant(reduce)]
         return ast.Call(ast.Name("__claim__", ast.Load()), arguments, [])
-
-
-def _is_and(test: ast.expr) -> bool:
-    return isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And)
 
 
 def check(text: str, operands: list, names: tuple[str, ...], reduce: str | None) -> dict:
@@ -84,9 +77,6 @@ def load_ipython_extension(shell) -> None:
         with open(path, "a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
 
-    def claim(*arguments) -> None:
-        write(check(*arguments))
-
     told = warnings.showwarning
 
     def showwarning(message, category, *rest, **more) -> None:
@@ -96,5 +86,5 @@ def load_ipython_extension(shell) -> None:
 
     warnings.showwarning = showwarning
     warnings.simplefilter("always", category=UserWarning, append=True)
-    shell.user_ns["__claim__"] = claim
+    shell.user_ns["__claim__"] = lambda *arguments: write(check(*arguments))
     shell.ast_transformers.append(Claims())

@@ -39,11 +39,6 @@ class Story:
     colours: dict[str, list[np.ndarray]]  # (V, 3) for each shown shape
     spread: np.ndarray  # (V,) of the last shape, √area
 
-    def loop_error(self, name: str) -> float:
-        """Distance of the product around the triangle from the identity."""
-        x, y, z = self.matrices[name]
-        return float(np.linalg.norm(x @ y @ z - np.eye(len(x))))
-
 
 def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> Story:
     """Plant, observe, solve and sample."""
@@ -80,14 +75,14 @@ def draw_cat(ax: Axes, shape: fmsync.Shape, values: np.ndarray, centre: tuple, s
     picture[white, 3] = 0
     rows, columns = np.flatnonzero(~white.all(axis=1)), np.flatnonzero(~white.all(axis=0))
     picture = picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    height, width = size * np.array(picture.shape[:2]) / max(picture.shape[:2])
+    height, width = size * np.array(picture.shape[:2]) / max(picture.shape[:2]) / 2
     x, y = centre
-    extent = (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+    extent = (x - width, x + width, y - height, y + height)
     ax.imshow(picture, extent=extent, interpolation="antialiased", zorder=3)
 
 
 def triangle(ax: Axes, story: Story, name: str) -> None:
-    """Three cats, the maps between them, and whether the way around closes."""
+    """Three cats, the maps between them, and whether their product around the triangle is the identity."""
     for shape, colours, centre in zip(story.shapes, story.colours[name], _PLACES):
         draw_cat(ax, shape, colours, centre, 0.4)
     for k, matrix in enumerate(story.matrices[name]):

@@ -105,22 +105,16 @@ def stale(book: Path = BOOK) -> list[str]:
 def write(book: Path = BOOK) -> None:
     """Make the notebooks equal to the chapters."""
     (book / "notebooks").mkdir(exist_ok=True)
-    for old in {p.name for p in (book / "notebooks").glob("*.ipynb")} - chapters(book).keys():
-        (book / "notebooks" / old).unlink()
+    for old in (book / "notebooks").glob("*.ipynb"):
+        old.unlink()
     for name, md in chapters(book).items():
         (book / "notebooks" / name).write_text(render(md), encoding="utf-8")
 
 
-def main() -> int:
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="change nothing; exit 1 if a notebook is stale")
     if not parser.parse_args().check:
         write()
-        return 0
-    if bad := stale():
-        print("stale notebooks (run `make notebooks`):", *bad)
-    return bool(bad)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    elif bad := stale():
+        sys.exit(f"stale notebooks (run `make notebooks`): {' '.join(bad)}")

@@ -24,6 +24,8 @@ sys.path[:0] = [str(ROOT / "book" / "_ext"), str(ROOT / "scripts")]
 from fmsync_status import pages, surroundings  # noqa: E402
 from other_arithmetic import other_arithmetic  # noqa: E402
 
+from fmsync.files import replacing  # noqa: E402
+
 TABLE = ROOT / "results" / "worlds.json"
 _N_SHIFTS = 4
 _LONGEST = 900  # seconds that a cell may take
@@ -48,10 +50,10 @@ def run(page: Path, arithmetic: str, shift: int, keep: Path) -> dict:
         raise RuntimeError(f"{page.stem}: the run itself failed\n{done.stderr}")
     record = json.loads(done.stdout.splitlines()[-1]) | {"arithmetic": arithmetic, "shift": shift}
     keep.parent.mkdir(parents=True, exist_ok=True)
-    part = keep.with_suffix(f".part{os.getpid()}")
-    part.write_text(json.dumps(record), encoding="utf-8")
-    os.replace(part, keep)
-    print(f"{page.stem} {name(record)}: {verdict(record)} ({time.perf_counter() - began:.0f} s)", flush=True)
+    with replacing(keep) as file:
+        file.write(json.dumps(record).encode())
+    outcome = f"{'; '.join(failures(record)) or 'held'} ({time.perf_counter() - began:.0f} s)"
+    print(f"{page.stem} {arithmetic} {shift:+d}: {outcome}", flush=True)
     return record
 
 
@@ -76,10 +78,6 @@ def run_here(page: Path) -> dict:
     }
 
 
-def name(record: dict) -> str:
-    return f"{record['arithmetic']} {record['shift']:+d}"
-
-
 def failures(record: dict) -> list[str]:
     """What did not hold: claims with their values, convergence warnings, an error."""
     found = []
@@ -90,10 +88,6 @@ def failures(record: dict) -> list[str]:
             found.append(f"{claim['claim']}{f': {values}' if values else ''}{margin}")
     found += [f"warning: {text}" for text in record["warnings"]]
     return found + ([f"error: {record['error']}"] if record["error"] else [])
-
-
-def verdict(record: dict) -> str:
-    return "; ".join(failures(record)) or "held"
 
 
 def closest(records: list[dict]) -> list[tuple[float, str]]:
@@ -118,16 +112,17 @@ def main() -> int:
         print(json.dumps(run_here(options.page)))
         return 0
     known = {page.stem: page for page in pages()}
-    if missing := [chapter for chapter in options.chapters if chapter not in known]:
-        print(f"CHAPTERS: there is no {missing[0]!r}; there are {', '.join(known)}", file=sys.stderr)
-        return 2
+    wrong = [f"CHAPTERS: there is no {c!r}; there are {', '.join(known)}" for c in options.chapters if c not in known]
     if "FMSYNC_SEED_SHIFT" in os.environ:
-        print("FMSYNC_SEED_SHIFT: is set by this command; unset it, and choose --seed", file=sys.stderr)
+        wrong.append("FMSYNC_SEED_SHIFT: is set by this command; unset it, and choose --seed")
+    if wrong:
+        print(wrong[0], file=sys.stderr)
         return 2
     from fmsync_book import cache_folder
 
     chosen = {c: p for c, p in known.items() if not options.chapters or c in options.chapters}
     worlds = [(a, s) for s in shifts(options.seed) for a in (("native",) if options.native else ("native", "other"))]
+    columns = [f"{a} {s:+d}" for a, s in worlds]
     folder = ROOT / "_build" / "worlds" / cache_folder().name
     tasks = []
     for page in chosen.values():
@@ -135,8 +130,7 @@ def main() -> int:
         tasks += [(page, a, s, folder / f"{page.stem}-{digest}-{a}-{s}.json") for a, s in worlds]
     with ThreadPoolExecutor(options.jobs) as pool:
         records = list(pool.map(lambda task: run(*task), tasks))
-    failed = []
-    table = {}
+    failed, table = [], {}
     for k, chapter in enumerate(chosen):
         own = records[k * len(worlds) : (k + 1) * len(worlds)]
         margins = closest(own)
@@ -148,27 +142,20 @@ def main() -> int:
         for far, claim in margins[1:]:
             if far < 4:
                 print(f"    also close, {far:.1f}: {claim}")
-        failed += [f"{chapter} {name(r)}: {line}" for r in own for line in failures(r)]
+        failed += [f"{chapter} {world}: {line}" for world, r in zip(columns, own) for line in failures(r)]
     if not options.native:
-        write_table(table, worlds, options.seed)
+        write_table(table, columns, options.seed)
     print(*failed, sep="\n")
     return bool(failed)
 
 
-def write_table(table: dict, worlds: list[tuple[str, int]], seed: int) -> None:
+def write_table(table: dict, columns: list[str], seed: int) -> None:
     """Replace the rows of these chapters; rows of other chapters stay when their worlds are the same."""
     before = json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.is_file() else {}
-    columns = [f"{a} {s:+d}" for a, s in worlds]
     kept = before.get("chapters", {}) if before.get("worlds") == columns else {}
-    order = [page.stem for page in pages()]
-    rows = {c: (kept | table)[c] for c in order if c in kept | table}
-    told = {
-        "command": f"make worlds SEED={seed}",
-        "machine": surroundings()["machine"],
-        "shapes": surroundings()["shapes"],
-        "worlds": columns,
-        "chapters": rows,
-    }
+    rows = {page.stem: (kept | table)[page.stem] for page in pages() if page.stem in kept | table}
+    where = {name: surroundings()[name] for name in ("machine", "shapes")}
+    told = {"command": f"make worlds SEED={seed}", **where, "worlds": columns, "chapters": rows}
     TABLE.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -4,7 +4,6 @@ Everything registered in :mod:`fmsync.estimators` and :mod:`fmsync.samplers` tak
 add controls, protocols and peers. A file anywhere else takes part after :func:`load`.
 """
 
-import difflib
 import importlib
 import importlib.util
 import inspect
@@ -20,6 +19,7 @@ import numpy as np
 from fmsync import estimators, samplers
 from fmsync.estimators.base import ESTIMATORS
 from fmsync.problem import relative_maps
+from fmsync.registry import near_names
 from fmsync.samplers.base import SAMPLERS
 
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
@@ -32,16 +32,9 @@ _REGISTRY: dict[str, "Method"] = {}
 class Answer:
     """What a method says about a problem.
 
-    Attributes
-    ----------
-    relative
-        Gives the relative maps (K, n, n) of any pairs (K, 2); NaN for pairs it says nothing about.
-    draws
-        (T, N, n, n) absolute rotations, each in any gauge, of methods that sample; else None.
-    numbers
-        Called after the clock has stopped: metrics that only the method can know, such as ESS a second.
-    path
-        (step, relative) on the way to the answer, for figures of convergence.
+    ``relative`` gives the maps (K, n, n) of any pairs (K, 2), NaN where it says nothing; ``draws`` (T, N, n, n) are
+    absolute rotations, each in any gauge, of methods that sample; ``numbers``, called when the clock has stopped, gives
+    metrics that only the method can know; ``path`` are (step, relative) on the way, for figures of convergence.
     """
 
     relative: Relative
@@ -51,14 +44,7 @@ class Answer:
 
     @classmethod
     def from_absolute(cls, absolute: np.ndarray, **fields) -> "Answer":
-        """From rotations (N, n, n).
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Answer.from_absolute(np.stack([np.eye(3)] * 4)).relative(np.array([[0, 3]])).shape
-        (1, 3, 3)
-        """
+        """From rotations (N, n, n)."""
         return cls(lambda pairs: relative_maps(absolute, pairs), **fields)
 
 
@@ -113,12 +99,6 @@ def method(name: str, *, sees_planted: bool = False) -> Callable[[Callable], Cal
     """Register ``(problem, *, rng, **options) -> Answer`` under a name.
 
     With ``sees_planted`` it is given the :class:`~bench.planted.Planted` problem, truth included: for controls.
-
-    Examples
-    --------
-    >>> import bench
-    >>> "oracle" in bench.methods.names()
-    True
     """
 
     def register(function: Callable) -> Callable:
@@ -141,9 +121,7 @@ def get(name: str) -> Method:
     if name not in _registered():
         known = names()  # looks through the folders only when it must
         if name not in known:
-            close = difflib.get_close_matches(name, known)
-            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
-            raise ValueError(f"method: there is no {name!r}; {hint}")
+            raise ValueError(f"method: there is no {name!r}; {near_names(name, known)}")
     return _registered()[name]
 
 

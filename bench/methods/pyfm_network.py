@@ -16,18 +16,11 @@ _EIGENVALUE_SHIFT = 1e-6
 
 @method("pyfm-network")
 def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjacency") -> Answer:
-    """The network's maps, raw or projected to SO(n).
+    """The network's maps, raw or projected to SO(n); of repeated observations the mean, since it holds one map a pair.
 
-    Parameters
-    ----------
-    problem, rng
-        As for every method; of repeated observations the mean is used, since a network holds one map a pair.
-    projected
-        Round the latent bases to rotations.
-    weights
-        ``"adjacency"``; ``"icsm"``, pyFM's weights from 3-cycles, which it multiplies in the wrong order, so that exactly
-        consistent maps have positive cycle errors; ``"icsm-fixed"``, the same with the right order.
-    """  # noqa: E501
+    ``weights`` are ``"adjacency"``; ``"icsm"``, pyFM's weights from 3-cycles, which it multiplies in the wrong order,
+    so that exactly consistent maps have positive cycle errors; or ``"icsm-fixed"``, the same with the right order.
+    """
     if weights not in ("adjacency", "icsm", "icsm-fixed"):
         raise ValueError(f"weights: 'adjacency', 'icsm' or 'icsm-fixed', not {weights!r}")
     network = shape_network(problem, fixed=weights == "icsm-fixed")

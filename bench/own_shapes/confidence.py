@@ -52,10 +52,8 @@ def collections(loaded: dict[str, list[Shape]], **options) -> dict:
         coverage |= {f"recalibrated on {other}": o.covered(r) for other, r in fitted.items()}
         coverage["as shipped"] = o.covered(default_calibration())
         elsewhere = next((r for other, r in fitted.items() if other != name), default_calibration())
-        found[name] = stages(o.synced, o.evaluation, peers=k == 0) | {  # peers take most of the time
-            "coverage": coverage,
-            "selective": risk_coverage(o, elsewhere),
-        }
+        found[name] = stages(o.synced, o.evaluation, peers=k == 0)  # peers take most of the time
+        found[name] |= {"coverage": coverage, "selective": risk_coverage(o, elsewhere)}
     return found
 
 
@@ -73,10 +71,10 @@ def observe(shapes: list[Shape], **options) -> Observed:
     evaluation, pairs = Evaluation(synced.shapes, vertices), some_pairs(len(shapes), 16)
     at_samples = {q: [synced.confidence(i, j, q) for i, j in pairs] for q in LEVELS}
     radii = {q: [evaluation.at(i, k.radius) for (i, _), k in zip(pairs, known)] for q, known in at_samples.items()}
-    known = [
-        replace(k, **{name: evaluation.at(i, getattr(k, name)) for name in _INDICATORS})
-        for (i, _), k in zip(pairs, at_samples[0.9])
-    ]
+    known = []
+    for (i, _), k in zip(pairs, at_samples[0.9]):
+        carried = {name: evaluation.at(i, getattr(k, name)) for name in (*_INDICATORS, "symmetry_radius")}
+        known.append(replace(k, **carried))
     errors = [evaluation.errors(i, j, synced.refined[i], synced.refined[j]).astype(float) for i, j in pairs]
     cycles, cheap = cycle_errors(synced), {"embedding distance": [], "cycle error": []}
     for i, j in pairs:

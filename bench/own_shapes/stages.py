@@ -92,10 +92,7 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
 
 
 def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, errors: dict, seconds: dict) -> None:
-    """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of what our pipeline has.
-
-    ``matches`` are our pairwise maps before any synchronisation; ``synced`` holds those after it.
-    """
+    """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of our maps before and after synchronisation."""
     from pyFM.FMN import FMN
     from pyFM.functional import FunctionalMapping
     from pyFM.mesh import TriMesh
@@ -134,12 +131,8 @@ def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, err
         errors["pyFM pairwise"] = evaluation.mean(pairs, lambda i, j: fitted[i, j])
         errors["pyFM pairwise + ZoomOut"] = evaluation.mean(pairs, refine)
         own, after = both_ways(edges, matches), both_ways(edges, synced.matches)
-        for name, start, size in (
-            ("its own fit", fitted, fine),
-            ("our pairwise maps", own, fine),
-            ("our pairwise maps", own, m),
-            ("our pairs after proposals", after, fine),
-        ):
+        starts = [("its own fit", fitted, fine), ("our pairwise maps", own, fine), ("our pairwise maps", own, m)]
+        for name, start, size in [*starts, ("our pairs after proposals", after, fine)]:
             key = f"pyFM Consistent ZoomOut to {size} from {name}"
             with cpu_seconds(seconds, key):
                 maps = consistent(start, size)

@@ -14,13 +14,7 @@ from fmsync.samplers.rlfm import default_step
 
 @sampler("rlfm-geomstats")
 class GeomstatsRLFM(Sampler):
-    """The constrained Euclidean chain of ``"rlfm"`` with geodesic steps; no prior.
-
-    Parameters
-    ----------
-    target, start, rng, step
-        As for ``"rlfm"``; a prior is refused.
-    """
+    """The constrained Euclidean chain of ``"rlfm"`` with geodesic steps; a prior is refused."""
 
     def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, step: float | None = None):
         target.only("rlfm-geomstats", likelihood="langevin", energy="euclidean")

@@ -29,38 +29,19 @@ def mle_pymanopt(
 ) -> Estimate:
     """The paper's MLE (2) with the paper's software: the cost of ``"mle"`` by ``pymanopt.optimizers.TrustRegions``.
 
-    Parameters
-    ----------
-    problem, rng, callback, init, tolerance, max_iterations
-        As in ``"mle"``, but the start is random by default, as in the paper.
-    derivatives
-        ``"hand"``: gradient and Hessian written out; ``"autograd"``: differentiated by autograd.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> bool(fmsync.solve(p, "mle-pymanopt", rng=1).cost < 1e-9)
-    True
+    Options are those of ``"mle"``, but the start is random by default, as in the paper. ``derivatives`` are written out
+    (``"hand"``) or those of ``"autograd"``.
     """
     if derivatives not in ("hand", "autograd"):
         raise ValueError(f"derivatives: 'hand' or 'autograd', not {derivatives!r}")
-    start = starting_point(problem, init, rng)
+    start, recorder = starting_point(problem, init, rng), Recorder(callback)
     manifold = SpecialOrthogonalGroup(problem.n, k=problem.n_nodes)
-    recorder = Recorder(callback)
-    build = _by_hand if derivatives == "hand" else _by_autograd
-    objective = build(problem, manifold, recorder)
+    objective = (_by_hand if derivatives == "hand" else _by_autograd)(problem, manifold, recorder)
     optimizer = TrustRegions(min_gradient_norm=tolerance, max_iterations=max_iterations, verbosity=0)
     result = optimizer.run(objective, initial_point=start)
-    trace = recorder.trace()
-    norm = float(np.linalg.norm(objective.riemannian_gradient(result.point)))
-    return Estimate.from_absolute(
-        problem,
-        result.point,
-        "mle-pymanopt",
-        converged=norm <= tolerance,
-        trace=trace,
-    )
+    trace, point = recorder.trace(), result.point
+    converged = float(np.linalg.norm(objective.riemannian_gradient(point))) <= tolerance
+    return Estimate.from_absolute(problem, point, "mle-pymanopt", converged=converged, trace=trace)
 
 
 def _by_hand(problem: SyncProblem, manifold, recorder: Recorder) -> pymanopt.Problem:

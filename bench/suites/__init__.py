@@ -18,7 +18,6 @@
     methods = ["spectral", "mle", "mc"]
 """
 
-import difflib
 import importlib
 import inspect
 import itertools
@@ -32,18 +31,12 @@ from pathlib import Path
 from bench import methods
 from bench.cache import key_of
 from bench.code import code_hash, data_hash
+from fmsync.registry import near_names
 
 _FOLDER = Path(__file__).parent
-_TOP = {
-    "description": str,
-    "seeds": int,
-    "seconds": (int, float),
-    "memory": (int, float),
-    "methods_of": str,
-    "grid": list,
-    "method": dict,
-}
-_GRID = {"generator": str, "problem": dict, "methods": list, "seeds": int, "seconds": (int, float)}
+_LIMITS = {"seeds": int, "seconds": int | float, "memory": int | float}
+_TOP = {"description": str, "methods_of": str, "grid": list, "method": dict, **_LIMITS}
+_GRID = {"generator": str, "problem": dict, "methods": list, **_LIMITS}
 
 
 @dataclass(frozen=True)
@@ -63,15 +56,9 @@ class Run:
     @cached_property
     def content(self) -> dict:
         """What determines the result; the label does not."""
-        return {
-            "generator": self.generator,
-            "problem": dict(self.problem),
-            "seed": self.seed,
-            "method": self.method,
-            "options": dict(self.options),
-            "code": self.code,
-            "data": data_hash(self.generator, self.problem),
-        }
+        what = {name: getattr(self, name) for name in ("generator", "seed", "method", "code")}
+        data = data_hash(self.generator, self.problem)
+        return {**what, "problem": dict(self.problem), "options": dict(self.options), "data": data}
 
     @property
     def code(self) -> str:
@@ -115,13 +102,8 @@ def suite_file(name: str | Path) -> Path:
     """File of a suite of the package, or the ``.toml`` file itself; a SuiteError offers near names."""
     path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
     if not path.is_file():
-        raise SuiteError(f"suite: there is no {str(name)!r}; {_hint(str(name), suite_names())}")
+        raise SuiteError(f"suite: there is no {str(name)!r}; {near_names(str(name), suite_names())}")
     return path
-
-
-def _hint(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, known)
-    return f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(sorted(known))}"
 
 
 def load_suite(
@@ -129,16 +111,9 @@ def load_suite(
 ) -> Suite:
     """Read a suite of the package by name, or any file that ends in ``.toml``.
 
-    Parameters
-    ----------
-    name
-        ``"smoke"``, ..., or a path. ``"paper@tosca_cat"`` is the suite ``paper`` with the shapes of another collection.
-    files
-        Files that register methods; these join every grid.
-    seeds
-        At most so many seeds, and no more than the file says.
-    only
-        Keep the runs whose description (``str(run)``) matches this regular expression.
+    ``"paper@tosca_cat"`` is the suite ``paper`` with the shapes of another collection. The methods that ``files``
+    register join every grid; ``seeds`` is the largest number of seeds, where the file does not say fewer; ``only`` is a
+    regular expression that the descriptions (``str(run)``) of the runs to keep match.
     """
     base, _, collection = str(name).partition("@")
     path = suite_file(base if collection else name)
@@ -149,15 +124,13 @@ def load_suite(
     runs = reader.runs(seeds)
     if collection:
         runs = _of_collection(runs, collection, path)
-    if only is not None:
-        try:
-            runs = [run for run in runs if re.search(only, str(run))]
-        except re.error as error:
-            raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
-        if not runs:
-            raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
-    named = f"{path.stem}@{collection}" if collection else path.stem
-    return Suite(named, reader.file["description"], tuple(runs))
+    try:
+        runs = [run for run in runs if re.search(only or "", str(run))]
+    except re.error as error:
+        raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
+    if not runs:
+        raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
+    return Suite(path.stem + f"@{collection}" * bool(collection), reader.file["description"], tuple(runs))
 
 
 def _of_collection(runs: Iterable[Run], collection: str, path: Path) -> list[Run]:
@@ -203,7 +176,7 @@ class _Reader:
         runs = []
         for grid in self.file["grid"]:
             self._check(grid, _GRID, "grid", ("generator", "problem", "methods"))
-            generator, limit = grid["generator"], float(grid.get("seconds", self.file.get("seconds", 60)))
+            generator, told = grid["generator"], {"seconds": 60, "memory": 2000, **self.file, **grid}
             try:
                 known = set(inspect.signature(generator_function(generator)).parameters) - {"seed"}
             except ValueError as error:
@@ -212,12 +185,12 @@ class _Reader:
             entries = {label: self._entry(label) for label in grid["methods"]}
             used = {method for method, _ in entries.values()}
             entries |= {label: self._entry(label) for label in self._extra if label not in used}
-            memory, most = float(self.file.get("memory", 2000)), grid.get("seeds", self.file["seeds"])
+            limits, most = (float(told["seconds"]), float(told["memory"])), told["seeds"]
             for problem in _sweep(grid["problem"]):  # problem by problem: a worker makes each once
                 for seed in range(min(seeds or most, most)):
                     for label, (method, options) in entries.items():
                         file = self._extra.get(method)
-                        runs.append(Run(generator, problem, seed, label, method, options, limit, memory, file))
+                        runs.append(Run(generator, problem, seed, label, method, options, *limits, file))
         return runs
 
     def _entry(self, label: str) -> tuple[str, dict]:
@@ -237,7 +210,7 @@ class _Reader:
         for key, value in table.items():
             if not isinstance(value, known[key]) or isinstance(value, bool):
                 raise SuiteError(f"{self._where(key)}: {key} = {value!r} has the wrong type")
-            if key in ("seeds", "seconds", "memory") and value <= 0:
+            if key in _LIMITS and value <= 0:
                 raise SuiteError(f"{self._where(key)}: {key} must be > 0, got {value}")
         if missing := [key for key in needed if key not in table]:
             raise SuiteError(f"{self._where(f'[[{where}]]')}: {missing[0]} is missing")
@@ -245,7 +218,7 @@ class _Reader:
     def _check_names(self, keys: Iterable[str], known: Iterable[str], where: str) -> None:
         for key in keys:
             if key not in known:
-                raise SuiteError(f"{self._where(key)}: {where} has no key {key!r}; {_hint(key, known)}")
+                raise SuiteError(f"{self._where(key)}: {where} has no key {key!r}; {near_names(key, known)}")
 
     def _where(self, word: str) -> str:
         pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")

@@ -84,8 +84,6 @@ def _is_thebe(script) -> bool:
 def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[str, str]]:
     """Where a page's notebook runs without an installation; nothing while the project has no address on GitHub.
 
-    >>> launch_links("", "main", "03_mle")
-    []
     >>> for where, address in launch_links("https://github.com/someone/fmsync", "main", "03_mle"):
     ...     print(where, address)
     Binder https://mybinder.org/v2/gh/someone/fmsync/main?urlpath=lab/tree/book/notebooks/03_mle.ipynb

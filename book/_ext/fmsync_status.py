@@ -23,8 +23,7 @@ _LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyv
 def pages(root: Path = ROOT) -> list[Path]:
     """Executable pages of the table of contents, in its order."""
     toc = yaml.safe_load((root / "book" / "_toc.yml").read_text(encoding="utf-8"))
-    entries = [entry for part in toc["parts"] for entry in part["chapters"]]
-    files = [root / "book" / f"{entry['file']}.md" for entry in entries]
+    files = [root / "book" / f"{entry['file']}.md" for part in toc["parts"] for entry in part["chapters"]]
     return [f for f in files if "kernelspec:" in f.read_text(encoding="utf-8")[:600]]
 
 
@@ -67,14 +66,13 @@ def worlds_table(told: dict) -> list[str]:
     >>> print(lines[2])
     | {doc}`/chapters/05_oracle` | `a < b: 3 and 2` | 5.2: `a < b` |
     """
-    worlds = told["worlds"]
-    lines = ["| chapter | " + " | ".join(worlds) + " | closest claim |", "| --- |" + " --- |" * (len(worlds) + 1)]
+    titles = ["chapter", *told["worlds"], "closest claim"]
+    lines = [f"| {' | '.join(titles)} |", "|" + " --- |" * len(titles)]
     for chapter, row in told["chapters"].items():
         cells = [_code("; ".join(failed)) if failed else "held" for failed in row["failures"]]
         near = f"{row['margin']:.1f}: {_code(row['closest'])}" if row["closest"] else "–"
         lines.append(f"| {{doc}}`/chapters/{chapter}` | {' | '.join(cells)} | {near} |")
-    made = f"Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."
-    return [*lines, "", made]
+    return [*lines, "", f"Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."]
 
 
 def _code(text: str) -> str:

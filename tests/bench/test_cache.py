@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from bench.cache import CorruptRecordError, ResultCache, key_of, replacing
+from bench.cache import CorruptRecordError, ResultCache, key_of
 
 KEY = key_of({"a": 1})
 
@@ -55,19 +55,3 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, monkeypatch):
         cache.write(KEY, {"status": "ok", "value": 2})
     assert cache.read(KEY) == {"status": "ok", "value": 1}
     assert not list(tmp_path.rglob("*.part"))
-
-
-def test_two_writers_of_one_file_do_not_meet(tmp_path):
-    with replacing(tmp_path / "table") as first, replacing(tmp_path / "table") as second:
-        first.write_text("first")
-        second.write_text("second")
-    assert (tmp_path / "table").read_text() == "first"  # which is closed last
-    assert os.listdir(tmp_path) == ["table"]
-
-
-def test_a_writer_that_fails_leaves_what_was_there(tmp_path):
-    (tmp_path / "table").write_text("old")
-    with pytest.raises(UnicodeEncodeError), replacing(tmp_path / "table") as temporary:
-        temporary.write_text("n\udcffw")
-    assert (tmp_path / "table").read_text() == "old"
-    assert os.listdir(tmp_path) == ["table"]

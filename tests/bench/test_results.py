@@ -139,6 +139,7 @@ def test_table1_puts_ours_beside_the_paper_s(paper):
     assert row.paper == 2.08
     assert row.agrees
     assert row.floor == 1.9
+    assert row.bound_valid  # 1.9² is less than a tenth of 2n = 40
     assert row.seeds == 3
     far = table[(table.label == "MLE (1)") & (table.sigma2 == 1.0)].iloc[0]
     assert not far.agrees
