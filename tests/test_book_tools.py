@@ -94,6 +94,10 @@ def test_surroundings_name_the_shapes_in_use(monkeypatch, tmp_path):
 def test_pages_offer_to_run_elsewhere_only_with_an_address():
     assert book.launch_links("", "main", "03_mle") == []
     assert book.launch_links("https://example.org/fmsync", "main", "03_mle") == []
+    assert book.launch_links("https://github.com/a/b", "main", "c") == [
+        ("Binder", "https://mybinder.org/v2/gh/a/b/main?urlpath=lab/tree/book/notebooks/c.ipynb"),
+        ("Colab", "https://colab.research.google.com/github/a/b/blob/main/book/notebooks/c.ipynb"),
+    ]
     for where, address in book.launch_links("https://github.com/someone/fmsync.git", "main", "03_mle"):
         notebook = address.split("main", 1)[1].split("tree/")[-1].lstrip("/")
         assert (ROOT / notebook).is_file(), where
@@ -146,7 +150,9 @@ def test_the_picture_tells_the_truth():
 
 def test_licences_name_each_package_once_and_what_is_not_installed():
     licences = _load("book/_ext/fmsync_licences.py")
-    rows = licences.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": {"a": ["tqdm"]}})
+    extras = {"a": ["tqdm"], "own": ["fmsync[viz]"]}
+    rows = licences.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| no_such", "| tqdm"]
     assert rows[2].endswith("| – | – |")
+    assert rows[3].startswith("| tqdm | core | ")
     assert "MIT" in rows[3]
