@@ -94,10 +94,6 @@ def test_surroundings_name_the_shapes_in_use(monkeypatch, tmp_path):
 def test_pages_offer_to_run_elsewhere_only_with_an_address():
     assert book.launch_links("", "main", "03_mle") == []
     assert book.launch_links("https://example.org/fmsync", "main", "03_mle") == []
-    assert book.launch_links("https://github.com/a/b", "main", "c") == [
-        ("Binder", "https://mybinder.org/v2/gh/a/b/main?urlpath=lab/tree/book/notebooks/c.ipynb"),
-        ("Colab", "https://colab.research.google.com/github/a/b/blob/main/book/notebooks/c.ipynb"),
-    ]
     for where, address in book.launch_links("https://github.com/someone/fmsync.git", "main", "03_mle"):
         notebook = address.split("main", 1)[1].split("tree/")[-1].lstrip("/")
         assert (ROOT / notebook).is_file(), where

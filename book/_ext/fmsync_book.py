@@ -78,7 +78,13 @@ def _is_thebe(script) -> bool:
 
 
 def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[str, str]]:
-    """Where a page's notebook runs without an installation; nothing while the project has no address on GitHub."""
+    """Where a page's notebook runs without an installation; nothing while the project has no address on GitHub.
+
+    >>> for where, address in launch_links("https://github.com/someone/fmsync", "main", "03_mle"):
+    ...     print(where, address)
+    Binder https://mybinder.org/v2/gh/someone/fmsync/main?urlpath=lab/tree/book/notebooks/03_mle.ipynb
+    Colab https://colab.research.google.com/github/someone/fmsync/blob/main/book/notebooks/03_mle.ipynb
+    """
     host, _, project = (url or "").removesuffix("/").removesuffix(".git").partition("github.com/")
     if host != "https://" or not project:
         return []
