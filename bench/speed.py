@@ -27,9 +27,9 @@ def paper_size(sigma2: float, n_nodes: int = 11) -> SyncProblem:
     return data_gen.perturb(data_gen.planted(n_nodes, 20), sigma2, rng=1)
 
 
-def solve(problem: SyncProblem, method: str, **options) -> fmsync.Estimate:
-    """Solve the problem with nothing computed yet."""
-    return fmsync.solve(SyncProblem(problem.n_nodes, problem.edges, problem.maps), method, **options)
+def afresh(function: Callable, problem: SyncProblem, *arguments, **options) -> object:
+    """Call the function on the problem with nothing computed yet."""
+    return function(SyncProblem(problem.n_nodes, problem.edges, problem.maps), *arguments, **options)
 
 
 def logarithms() -> Ways:
@@ -73,16 +73,13 @@ def maximum_likelihood(sigma2: float, derivatives: str) -> Ways:
     """Both from the spectral start, initialisation included, to gradient norm 1e-6."""
     methods.get("mle-pymanopt")  # registers it
     problem, options = paper_size(sigma2), {"init": "spectral", "derivatives": derivatives}
-    return partial(solve, problem, "mle"), partial(solve, problem, "mle-pymanopt", **options)
+    ours = partial(afresh, fmsync.solve, problem, "mle")
+    return ours, partial(afresh, fmsync.solve, problem, "mle-pymanopt", **options)
 
 
 def eigenvectors(n_nodes: int) -> Ways:
-    problem, peer = paper_size(0.2, n_nodes), methods.get("scipy-eigh").function
-
-    def dense() -> object:
-        return peer(SyncProblem(problem.n_nodes, problem.edges, problem.maps), rng=np.random.default_rng(0))
-
-    return partial(solve, problem, "spectral"), dense
+    problem, dense = paper_size(0.2, n_nodes), methods.get("scipy-eigh").function
+    return partial(afresh, fmsync.solve, problem, "spectral"), partial(afresh, dense, problem, rng=None)
 
 
 def draws(ours: str, peer: str, sigma2: float = 0.2, n_draws: int = 500, warmup: int = 300) -> Ways:

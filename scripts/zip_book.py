@@ -9,11 +9,10 @@ BUILD = Path(__file__).resolve().parents[1] / "_build"
 _EARLIEST = 315532800  # 1980, where the dates of zip files begin
 
 
-def pack(html: Path, archive: Path, folder: str = "fmsync-book") -> int:
-    """Write every file below ``html`` into ``archive``, below ``folder``; gives their number.
+def pack(html: Path, archive: Path) -> int:
+    """Write every file below ``html`` into ``archive``; gives their number.
 
-    Sorted names, one date (``SOURCE_DATE_EPOCH``, or 1980) and one mode: nothing in the archive tells when or where it
-    was made.
+    Sorted names, one date (``SOURCE_DATE_EPOCH``, or 1980) and one mode tell nothing of when and where it was made.
     """
     date = time.gmtime(max(int(os.environ.get("SOURCE_DATE_EPOCH") or 0), _EARLIEST))[:6]
     files = sorted(p for p in html.rglob("*") if p.is_file() and not p.name.startswith("."))
@@ -22,7 +21,7 @@ def pack(html: Path, archive: Path, folder: str = "fmsync-book") -> int:
     unfinished = archive.with_suffix(".part")
     with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
         for file in files:
-            info = zipfile.ZipInfo(f"{folder}/{file.relative_to(html).as_posix()}", date)
+            info = zipfile.ZipInfo(f"fmsync-book/{file.relative_to(html).as_posix()}", date)
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             packed.writestr(info, file.read_bytes())

@@ -1,5 +1,7 @@
 """An iterative estimator with every step of its way, for the figure of convergence."""
 
+from functools import partial
+
 import numpy as np
 
 from bench.methods import Answer, method
@@ -20,12 +22,9 @@ def convergence(problem, *, rng, of: str = "mle", on_group: bool = True, **optio
 
     estimate = estimators.solve(problem, of, rng=rng, callback=keep, **options)
 
-    def reader(absolute):
-        def relative(pairs):
-            if on_group:
-                return relative_maps(absolute, pairs)
-            return np.linalg.solve(absolute[pairs[:, 0]], absolute[pairs[:, 1]])
+    def relative(absolute, pairs):
+        if on_group:
+            return relative_maps(absolute, pairs)
+        return np.linalg.solve(absolute[pairs[:, 0]], absolute[pairs[:, 1]])
 
-        return relative
-
-    return Answer(estimate.relative, path=tuple((iteration, reader(absolute)) for iteration, absolute in states))
+    return Answer(estimate.relative, path=tuple((k, partial(relative, absolute)) for k, absolute in states))

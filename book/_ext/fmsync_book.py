@@ -34,13 +34,6 @@ def cache_folder(root: Path = ROOT) -> Path:
     return root / "_build" / ".jupyter_cache" / digest.hexdigest()[:12]
 
 
-def shared_viewer() -> str:
-    """The vtk.js viewer without a scene of its own."""
-    template = Path(importlib.util.find_spec("trame_vtk").origin).with_name("tools") / "static_viewer.html"
-    script = Path(__file__).with_name("viewer_script.html").read_text(encoding="utf-8")
-    return template.read_text(encoding="utf-8").replace("</body>", script + "</body>")
-
-
 def _configure(app, config):
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # read by the kernels this build starts
     config.nb_execution_cache_path = str(cache_folder())
@@ -55,7 +48,10 @@ def _copy_assets(app):
     (static / "mathjax").mkdir(parents=True, exist_ok=True)
     mathjax = Path(importlib.util.find_spec("sphinx-mathjax-offline").submodule_search_locations[0])
     copy_asset_file(str(mathjax / "static/mathjax/tex-svg-full.js"), str(static / "mathjax"))
-    (static / "viewer.html").write_text(shared_viewer(), encoding="utf-8")
+    viewer = Path(importlib.util.find_spec("trame_vtk").origin).with_name("tools") / "static_viewer.html"
+    script = Path(__file__).with_name("viewer_script.html").read_text(encoding="utf-8")
+    page = viewer.read_text(encoding="utf-8").replace("</body>", script + "</body>")
+    (static / "viewer.html").write_text(page, encoding="utf-8")
     shutil.copytree(ROOT / "book" / "notebooks", Path(app.outdir) / "notebooks", dirs_exist_ok=True)
 
 

@@ -21,12 +21,7 @@ class Licences(SphinxDirective):
 
 
 def licence_table(project: dict) -> list[str]:
-    """Lines of Markdown: a row for each package, in the first extra that asks for it.
-
-    >>> rows = licence_table({"dependencies": ["tqdm>=4"], "optional-dependencies": {"own": ["fmsync[viz]"]}})
-    >>> rows[2].startswith("| tqdm | core | "), rows[2].endswith("MIT |"), len(rows)
-    (True, True, 3)
-    """
+    """Lines of Markdown: a row for each package, in the first extra that asks for it."""
     lines, seen = ["| package | needed by | version | licence |", "| --- | --- | --- | --- |"], {"fmsync"}
     for extra, wanted in {"core": project["dependencies"], **project["optional-dependencies"]}.items():
         for name in sorted(re.match(r"[\w.-]+", requirement)[0] for requirement in wanted):
