@@ -13,13 +13,7 @@ _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
-    """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right.
-
-    Examples
-    --------
-    >>> float(rank(np.arange(4.0), 1.5))
-    0.5
-    """
+    """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
     draws = np.asarray(draws)
     if draws.ndim == 0 or len(draws) == 0:
         raise ValueError("draws: need at least one along the first axis")
@@ -52,13 +46,6 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 
     The ball is :meth:`fmsync.Posterior.credible_balls`'s: centred at the arithmetic mean, distances of draws taken to
     the mean of the others. A ball of level q covers the truth if and only if this number is at most q.
-
-    Examples
-    --------
-    >>> from fmsync import so
-    >>> draws = so.random_uniform(3, 200, rng=0)
-    >>> 0 <= ball_level(draws, np.eye(3)) <= 1
-    True
     """
     draws = _checked(draws, truth)
     mean = draws.mean(axis=0)
@@ -82,12 +69,6 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
     -------
     tuple
         (L,) shares and (L,) standard errors.
-
-    Examples
-    --------
-    >>> shares, errors = coverage(np.random.default_rng(0).random((400, 5)), [0.5, 0.9])
-    >>> bool((abs(shares - [0.5, 0.9]) < 4 * errors).all())
-    True
     """
     levels = np.asarray(levels, dtype=float)
     if levels.ndim != 2 or len(levels) < 2:
@@ -111,12 +92,6 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
         (K, n, n).
     levels
         (L,) probabilities.
-
-    Examples
-    --------
-    >>> draws = np.random.default_rng(0).standard_normal((400, 1, 2, 2))
-    >>> covered(draws, np.zeros((1, 2, 2)), [0.5, 0.9]).ravel().tolist()
-    [True, True]
     """
     if len(draws) < 4:
         raise ValueError(f"draws: credible balls need at least four, got {len(draws)}")
@@ -126,13 +101,7 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
 
 
 def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
-    """Mean distance of coverage (L,) from the levels (L,) that were promised.
-
-    Examples
-    --------
-    >>> calibration_error([0.6, 0.8, 0.9], [0.5, 0.8, 0.9])
-    0.033333333333
-    """
+    """Mean distance of coverage (L,) from the levels (L,) that were promised."""
     return round(float(np.abs(np.subtract(shares, levels)).mean()), 12)
 
 

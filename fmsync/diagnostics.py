@@ -142,14 +142,7 @@ def rhat(values: np.ndarray) -> float:
 
 
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
-    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, ``"tail"`` for its tails.
-
-    Examples
-    --------
-    >>> walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 500)), axis=1)
-    >>> ess(walk) < 50
-    True
-    """
+    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, ``"tail"`` for its tails."""
     checks.one_of("kind", kind, ("bulk", "tail"))
     values = _checked(values)
     if not _varies(values):
@@ -177,13 +170,6 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
 
     Warns with :class:`ConvergenceWarning` when an R-hat is above 1.01 or an effective sample size below 400.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.sample(p, n_chains=2, n_draws=100, warmup=50).summary().names
-    ('energy', 'tr C[0,1]', 'C[0,1][0,0]')
     """
     values = scalars(post, edges)
     mean, sd, r_hat, bulk, tail = np.array(
@@ -245,15 +231,7 @@ def _varies(values: np.ndarray) -> bool:
 
 @contextmanager
 def short_run() -> Iterator[None]:
-    """Silence :class:`ConvergenceWarning` around one run that is short on purpose.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> with fmsync.diagnostics.short_run():
-    ...     post = fmsync.sample(p, n_chains=1, n_draws=10, warmup=0)
-    """
+    """Silence :class:`ConvergenceWarning` around one run that is short on purpose."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         yield

@@ -35,12 +35,6 @@ def require_all(user: str, extra: str, *modules: str) -> None:
 
     A package that is of no use without an extra calls this before its other imports, so that a missing module is
     reported at once and not after long work.
-
-    Examples
-    --------
-    >>> require_all("fmsync.viz", "viz", "json", "no_such_package")
-    Traceback (most recent call last):
-    fmsync.extras.MissingExtra: fmsync.viz needs the extra "viz": pip install "fmsync[viz]"
     """
     for module in modules:
         if importlib.util.find_spec(module) is None:

@@ -50,11 +50,6 @@ def mean_cosine(n: int, kappa: float | np.ndarray) -> np.ndarray:
     r""":math:`\beta_n(\kappa) = E\operatorname{tr}(M^\top R)/n = \frac1n\frac{d}{d\kappa}\log c_n(\kappa)`, in [0, 1).
 
     Parameters and errors as in :func:`log_normaliser`; absolute error below 1e-12.
-
-    Examples
-    --------
-    >>> mean_cosine(20, [5.0, 50.0]).round(4)
-    array([0.25  , 0.9047])
     """
     kappa, flat = _checked(n, kappa)
     return (_derivative(n, flat) / n).reshape(kappa.shape)[()]

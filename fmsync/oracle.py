@@ -58,11 +58,6 @@ def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Genera
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 
     ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
-
-    Examples
-    --------
-    >>> haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
-    (10, 3, 4, 4)
     """
     checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)

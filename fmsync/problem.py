@@ -154,12 +154,6 @@ class LangevinPrior:
         (N, n, n) modes M_i, rotations.
     kappa
         (N,) or one float, concentrations >= 0; 0 leaves that map uniform. All zero would be no prior: ValueError.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0).kappa
-    array([5., 5.])
     """
 
     mean: np.ndarray
@@ -188,13 +182,6 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     :math:`\kappa_i\operatorname{tr}(M_i^\top C_i)` is the Langevin log-likelihood of an edge from a node with
     C = I to node i that observed M_i, relative to the others with weight κ_i/κ. So the maximum a posteriori estimate
     is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.problem.anchored(p, fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0), kappa=10.0).weights
-    array([1. , 0.5, 0.5])
     """
     check_prior(problem, prior)
     checks.positive("kappa", kappa)

@@ -37,11 +37,5 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
 
 
 def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
-    """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws.
-
-    Examples
-    --------
-    >>> image_density([2, 0, 2], 4)
-    array([1, 0, 2, 0])
-    """
+    """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws."""
     return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

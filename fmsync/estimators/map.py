@@ -36,15 +36,6 @@ def maximum_a_posteriori(
     -------
     Estimate
         ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> prior = fmsync.LangevinPrior(fmsync.so.random_uniform(3, 2, rng=0), [1.0, 0.0])
-    >>> estimate = fmsync.solve(p, "map", kappa=5.0, prior=prior)
-    >>> bool(np.allclose(estimate.absolute[1], prior.mean[0], atol=1e-5))
-    True
     """  # noqa: E501
     whole = problem if prior is None else anchored(problem, prior, kappa)
     found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)

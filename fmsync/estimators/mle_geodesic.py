@@ -38,13 +38,6 @@ def mle_geodesic(
 
     Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
     U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], fmsync.so.random_uniform(3, 1, rng=0))
-    >>> fmsync.solve(p, "mle-geodesic").cost < 1e-20
-    True
     """
     observed = so.project(problem.maps)
     absolute = starting_point(problem, init, rng)

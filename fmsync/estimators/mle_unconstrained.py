@@ -38,13 +38,6 @@ def mle_unconstrained(
     -------
     Estimate
         Off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> bool(np.allclose(fmsync.solve(p, "mle-unconstrained").absolute, np.eye(4)))
-    True
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":

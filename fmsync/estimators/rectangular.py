@@ -43,13 +43,6 @@ class RectangularSyncProblem:
         E arrays (n_i, n_j); the sizes n_i are read off them.
     weights
         (E,) positive; ones by default.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
-    >>> p.sizes
-    array([4, 3, 5])
     """
 
     n_nodes: int

@@ -138,12 +138,5 @@ def sampler(name: str) -> Callable[[Callable[..., Sampler]], Callable[..., Sampl
 
 
 def methods() -> list[str]:
-    """Names that :func:`fmsync.sample` knows.
-
-    Examples
-    --------
-    >>> import fmsync
-    >>> "rlfm" in fmsync.samplers.methods()
-    True
-    """
+    """Names that :func:`fmsync.sample` knows."""
     return SAMPLERS.names()

@@ -78,21 +78,16 @@ class Posterior:
         r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
 
         The centre is the arithmetic mean of the draws. A draw's distance is taken to the mean of the *others*,
-        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own part in the centre would make balls too small.
-
-        Examples
-        --------
-        >>> import numpy as np, fmsync
-        >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-        >>> post = fmsync.sample(p, "heat-bath", kappa=20.0, n_draws=200)
-        >>> centre, radius = post.credible_balls(0.9)
-        >>> bool(0 < radius[0] < 1)
-        True
+        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own part in the centre would make balls too small. The
+        radius is the (k+1)-th smallest of these T distances, k the largest integer with k/T <= ``level``, so that the
+        ball covers a truth exactly when :func:`fmsync.calibration.ball_level` is at most ``level``.
         """
         checks.probability("level", level)
         edges = self._edges(edges)
         centres = self.relative_mean(edges, projected=False)
-        radii = [np.quantile(self._distances(edge, centre), level) for edge, centre in zip(edges, centres)]
+        count = self.n_chains * self.n_draws
+        k = np.count_nonzero(np.arange(1, count + 1) / count <= level)
+        radii = [np.partition(self._distances(edge, centre), k)[k] for edge, centre in zip(edges, centres)]
         return centres, np.array(radii)
 
     def summary(self) -> Summary:
