@@ -55,20 +55,10 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 
 
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of truths that balls of the nominal levels cover, and its standard error.
+    """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
-    Parameters
-    ----------
-    levels
-        (P, M) results of :func:`ball_level` for M maps of P problems. Maps of one problem share its noise: the error is
-        that of a mean of P problem means.
-    nominal
-        (L,) probabilities.
-
-    Returns
-    -------
-    tuple
-        (L,) shares and (L,) standard errors.
+    ``levels`` (P, M) are results of :func:`ball_level` for M maps of P problems. Maps of one problem share its noise:
+    the error is that of a mean of P problem means.
     """
     levels = np.asarray(levels, dtype=float)
     if levels.ndim != 2 or len(levels) < 2:
@@ -78,20 +68,11 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarray:
-    r"""Whether credible balls of some levels hold the truths of K maps, (levels, K) booleans; splits the draws.
+    r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 
-    The ball of a map is centred at the mean m of the *even* draws, and its radius is the quantile of
-    :math:`\lVert X-m\rVert` over the *odd* ones: a centre taken from the same draws would lie too close to them.
-    :func:`ball_level` loses no draws to this, and needs draws that hardly depend on each other.
-
-    Parameters
-    ----------
-    draws
-        (T, K, n, n), T >= 4.
-    truth
-        (K, n, n).
-    levels
-        (L,) probabilities.
+    The ball of a map is centred at the mean m of the *even* ``draws`` (T, K, n, n), T >= 4, and its radius is the
+    quantile of :math:`\lVert X-m\rVert` over the *odd* ones: a centre taken from the same draws would lie too close to
+    them. :func:`ball_level` loses no draws to this, and needs draws that hardly depend on each other.
     """
     if len(draws) < 4:
         raise ValueError(f"draws: credible balls need at least four, got {len(draws)}")
@@ -109,14 +90,8 @@ def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Energy score :math:`E\lVert C-C^*\rVert_F - \tfrac12E\lVert C-C'\rVert_F` of draws; lower is better.
 
     Strictly proper: on average the true posterior cannot be beaten (Gneiting & Raftery 2007). Unbiased, over all pairs
-    of two hundred draws that are evenly spread over those given.
-
-    Parameters
-    ----------
-    draws
-        (T, n, n), or (T, K, n, n) of K maps, whose scores are averaged.
-    truth
-        (n, n) or (K, n, n).
+    of two hundred draws that are evenly spread over those given. For draws (T, n, n) and truth (n, n), or (T, K, n, n)
+    and (K, n, n) of K maps, whose scores are averaged.
 
     Examples
     --------

@@ -142,7 +142,7 @@ def rhat(values: np.ndarray) -> float:
 
 
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
-    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, ``"tail"`` for its tails."""
+    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
     checks.one_of("kind", kind, ("bulk", "tail"))
     values = _checked(values)
     if not _varies(values):

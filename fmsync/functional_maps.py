@@ -13,12 +13,8 @@ from fmsync.shape import Basis
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
     r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
-    Parameters
-    ----------
-    basis_i, basis_j
-        Bases of n_i functions on V_i vertices, and of n_j on V_j.
-    point_map
-        (V_i,) the vertex of j that each vertex of i goes to: P f = f[point_map].
+    Bases hold n_i functions on V_i vertices, and n_j on V_j; ``point_map`` (V_i,) is the vertex of j that each vertex
+    of i goes to: P f = f[point_map].
 
     Examples
     --------
@@ -59,8 +55,6 @@ def functional_map_from_descriptors(
 
     Parameters
     ----------
-    basis_i, basis_j
-        As in :func:`functional_map`.
     descriptors_i, descriptors_j
         Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
     orthogonal
@@ -99,17 +93,7 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     An exhaustive search in blocks that stay in the cache, one matrix product each: a search tree is faster on clean
     maps but several times slower on noisy ones, where nothing can be pruned.
 
-    Parameters
-    ----------
-    c_ij, basis_i, basis_j
-        (n_i, n_j) functional map, and bases as in :func:`functional_map`.
-    vertices
-        (v,) vertices of i to map; all of them if None.
-
-    Returns
-    -------
-    ndarray
-        (V_i,) or (v,) vertices of j. Ties go to the lowest index.
+    Takes (n_i, n_j) to (V_i,) vertices of j, or (v,) for some ``vertices`` (v,) of i. Ties go to the lowest index.
 
     Examples
     --------

@@ -17,20 +17,9 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     The first map counts with accuracy 1 whatever was sampled, and n² separate searches are won by any sampler that
     scatters widely enough: the number separates samplers poorly.
 
-    Parameters
-    ----------
-    draws
-        (K, N, n, n) absolute maps in any gauge; for chains ``post.absolute.reshape(-1, N, n, n)``. They need not be
-        rotations, only invertible in the first node.
-    truth
-        (N, n, n) rotations.
-    counts
-        (M,) numbers of samples, between 1 and K; 1..K by default.
-
-    Returns
-    -------
-    ndarray
-        (M,) accuracies in (0, 1], never falling with the count.
+    ``draws`` (K, N, n, n) are absolute maps in any gauge (``post.absolute.reshape(-1, N, n, n)``), not necessarily
+    rotations, only invertible in the first node; ``truth`` (N, n, n) are rotations. Returns (M,) accuracies in (0, 1],
+    never falling, for ``counts`` (M,) of samples, between 1 and K; 1..K by default.
 
     Examples
     --------

@@ -18,8 +18,7 @@ from fmsync import checks
 from fmsync.files import replacing
 from fmsync.so import transpose
 
-_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges: a little later for
-# one set of maps, a little sooner for a batch
+_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges
 _FIELDS = ("n_nodes", "edges", "maps", "weights", "provenance")  # of a problem file
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
@@ -148,12 +147,8 @@ class SyncProblem:
 class LangevinPrior:
     r"""Independent matrix-Langevin priors :math:`p(C_i)\propto\exp(\kappa_i\operatorname{tr}(M_i^\top C_i))`.
 
-    Parameters
-    ----------
-    mean
-        (N, n, n) modes M_i, rotations.
-    kappa
-        (N,) or one float, concentrations >= 0; 0 leaves that map uniform. All zero would be no prior: ValueError.
+    ``mean`` (N, n, n) are the modes M_i, rotations; ``kappa`` (N,) or one float are concentrations >= 0, where 0 leaves
+    that map uniform. All zero would be no prior: ValueError.
     """
 
     mean: np.ndarray

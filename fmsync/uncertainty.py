@@ -12,14 +12,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
 
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
 
-    Parameters
-    ----------
-    relative_draws
-        (K, n_i, n_j) draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
-    basis_i, basis_j
-        Bases of the two shapes.
-    vertex
-        Vertex of shape i.
+    ``relative_draws`` (K, n_i, n_j) are draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
 
     Examples
     --------

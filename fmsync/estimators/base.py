@@ -18,8 +18,7 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
 
 
-#: What estimates may be: rotations, or all orthogonal matrices.
-GROUPS = ("SO", "O")
+GROUPS = ("SO", "O")  # what estimates may be: rotations, or all orthogonal matrices
 _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back to machine precision
 
 
@@ -36,13 +35,7 @@ def nearest(a: np.ndarray, group: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What an optimiser saw at its start and after every accepted step.
-
-    Attributes
-    ----------
-    cost, gradient_norm, seconds
-        (K + 1,) each; the Frobenius norm of the gradient of the cost, and wall-clock seconds since the start.
-    """
+    """What an optimiser saw at its start and after every accepted step, (K + 1,) each; seconds since the start."""
 
     cost: np.ndarray
     gradient_norm: np.ndarray
@@ -79,8 +72,6 @@ class Estimate:
 
     Attributes
     ----------
-    method
-        Registered name of the estimator.
     absolute
         (N, n, n) absolute maps in the gauge C_1 = I (or in the gauge of the prior).
     cost
@@ -88,7 +79,7 @@ class Estimate:
     converged
         Whether the tolerance of the optimiser was met.
     trace
-        :class:`~fmsync.estimators.Trace`, or None for direct methods.
+        :class:`~fmsync.estimators.Trace`; None for direct methods.
     on_group
         Whether ``absolute`` are rotations; unconstrained estimates are not.
     n_starts, n_agreeing

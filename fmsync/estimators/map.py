@@ -29,13 +29,10 @@ def maximum_a_posteriori(
         Concentration of the observations, against which the prior's is weighed; 2 is the paper's β = 1.
     prior
         :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not brought to C_1 = I.
-    problem, tolerance, max_iterations
+    tolerance, max_iterations
         As in ``"mle"``.
 
-    Returns
-    -------
-    Estimate
-        ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
+    The ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
     """  # noqa: E501
     whole = problem if prior is None else anchored(problem, prior, kappa)
     found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)

@@ -25,8 +25,6 @@ def mle(
 
     Parameters
     ----------
-    problem, rng
-        Observed maps, and what a random start is drawn from.
     init
         ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a problem
         that had only the first few of these nodes: after a change this saves the spectral start.

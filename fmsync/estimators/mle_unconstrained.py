@@ -34,10 +34,7 @@ def mle_unconstrained(
     tolerance, max_iterations
         For ``"iterative"``: norm of the gradient at which to stop, and steps at most.
 
-    Returns
-    -------
-    Estimate
-        Off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
+    The estimate is off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":

@@ -35,14 +35,10 @@ class RectangularSyncProblem:
 
     Parameters
     ----------
-    n_nodes
-        Number of shapes N >= 2.
-    edges
-        (E, 2) integers; edge (i, j) observes a map from shape j to shape i.
+    n_nodes, edges, weights
+        As in :class:`~fmsync.SyncProblem`.
     maps
         E arrays (n_i, n_j); the sizes n_i are read off them.
-    weights
-        (E,) positive; ones by default.
     """
 
     n_nodes: int
@@ -128,14 +124,10 @@ def solve_rectangular(
 
     Parameters
     ----------
-    problem
-        Observed maps.
     universe
         m; the largest n_i by default, which presumes that one shape sees everything.
-    init
-        ``"spectral"`` or ``"random"``.
-    rng
-        Seed or generator of the start.
+    init, rng
+        ``"spectral"`` or ``"random"``, and the seed or generator of the start.
     tolerance, max_iterations
         As in ``"mle"``; a RuntimeWarning tells that the tolerance was not met.
 
@@ -185,9 +177,8 @@ class Frames:
         weighted = self._problem.weights[:, None, None] * residual
         ambient = self._spread(absolute, weighted)
         curvature = sym(transpose(absolute) @ ambient)
-        return Point(
-            absolute, float(np.vdot(weighted, residual)), ambient - absolute @ curvature, (weighted, curvature)
-        )
+        cost = float(np.vdot(weighted, residual))
+        return Point(absolute, cost, ambient - absolute @ curvature, (weighted, curvature))
 
     def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
         (i, j), c = self._problem.edges.T, point.absolute

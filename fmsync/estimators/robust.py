@@ -43,15 +43,13 @@ def robust(
     * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
     * ``"l1"``: :math:`\sum w\sqrt{r^2+\delta^2}`, :math:`\delta = 10^{-4}\sqrt n` (Wang & Singer 2013).
 
-    The first two start from the l1 answer.
+    The first two start from the l1 answer. Wrong maps should be fewer than half at every node.
 
     Parameters
     ----------
-    problem
-        Observed maps, some of them wrong; fewer than half at every node, and not in a conspiracy.
     loss
         ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    rng, init, group
+    init, group
         As in ``"mle"``.
     tolerance
         Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
@@ -59,10 +57,7 @@ def robust(
     max_iterations
         Rounds, at most.
 
-    Returns
-    -------
-    Estimate
-        ``cost`` is the robust cost. ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
+    The ``cost`` is the robust cost; ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
 
     Examples
     --------

@@ -11,9 +11,7 @@ from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
-_FAR = (
-    0.5  # orthogonality error of a map above which its user is warned; a map with a quarter of its rank missing has it
-)
+_FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
 def solve(
@@ -81,8 +79,8 @@ def best_of_starts(
     """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
 
     What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came
-    to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
-    proof of local ones.
+    to its cost up to one part in a million: that all agree suggests a global optimum, that some do not is proof of
+    local ones.
     """
     checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)

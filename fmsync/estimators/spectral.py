@@ -26,8 +26,6 @@ def spectral(
 
     Parameters
     ----------
-    rng
-        Draws the start of the block iteration.
     group
         ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
     tolerance

@@ -32,8 +32,6 @@ class HeatBath(Sampler):
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`.
     over_relaxations
         Reflections before each draw, >= 0.
     """

@@ -23,13 +23,12 @@ class HMC(Sampler):
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
     step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon p_i)`,
-    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact.
+    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. The geodesic
+    energy needs κ or β, because its normaliser is not known; its gradient jumps on the cut locus, where draws stay
+    exact and fewer are accepted.
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`. The geodesic energy needs κ or β, because its normaliser is not
-        known; its gradient jumps on the cut locus, where draws stay exact and fewer are accepted.
     integrator
         ``"cayley"`` or ``"exp"``.
     step
@@ -61,6 +60,8 @@ class HMC(Sampler):
     ):
         checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
+        if length is not None and isinstance(self, MALA):
+            raise ValueError("length: 'mala' has no such option, its trajectories have one step")
         for name, size in (("step", step), ("length", length)):
             if size is not None:
                 checks.positive(name, size)
@@ -206,25 +207,10 @@ class MALA(HMC):
     r"""Metropolis-adjusted Langevin: Hamiltonian Monte Carlo whose trajectories have one step, 57 % accepted.
 
     The proposal is one step of ``"rlfm"`` with :math:`h\beta^{-1} = \varepsilon^2/2`, and the test takes off its bias.
-
-    Parameters
-    ----------
-    target, start, rng, integrator, step
-        As for ``"hmc"``.
+    Options are those of ``"hmc"`` but for ``length``, which is refused.
     """
 
     _target = 0.574
-
-    def __init__(
-        self,
-        target: Target,
-        start: np.ndarray,
-        rng: np.random.Generator,
-        *,
-        integrator: str = "cayley",
-        step: float | None = None,
-    ):
-        super().__init__(target, start, rng, integrator=integrator, step=step)
 
     def _n_steps(self, fraction: float) -> int:
         return 1

@@ -16,8 +16,6 @@ class Posterior:
 
     Attributes
     ----------
-    method
-        Registered name of the sampler.
     absolute
         (chains, draws, N, n, n) rotations in whatever gauge the chains were.
     energy

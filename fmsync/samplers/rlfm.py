@@ -25,8 +25,6 @@ class RLFM(Sampler):
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`.
     retraction
         R: ``"exp"``, along geodesics, or ``"qf"``, the Q factor of C + V.
     constrained

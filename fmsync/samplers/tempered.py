@@ -24,8 +24,6 @@ class Tempered(Sampler):
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`; every replica begins at the start of its chain.
     base
         ``"heat-bath"``, ``"hmc"`` or ``"mala"``.
     n_temperatures
