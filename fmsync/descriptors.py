@@ -17,13 +17,6 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     Times are log-spaced between :math:`4 \ln 10 / \lambda_n` and :math:`4 \ln 10 / \lambda_2`. Dividing by the trace
     weighs all times alike; the area-weighted mean of every column is then 1. Returns (V, ``n_times``) for a basis of at
     least two eigenfunctions on V vertices, short times first.
-
-    Examples
-    --------
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> heat_kernel_signature(basis, 2)
-    array([[1., 1.],
-           [1., 1.]])
     """
     return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
 

@@ -44,16 +44,8 @@ class ConvergenceWarning(UserWarning):
 class Summary:
     """Statistics of K scalars over all chains and draws; printed, and displayed by a notebook, as a table.
 
-    Attributes
-    ----------
-    names
-        Of the K scalars.
-    mean, sd
-        (K,) mean and standard deviation, in the unit of each scalar.
-    r_hat
-        (K,) rank-normalised split R-hat (:func:`rhat`).
-    ess_bulk, ess_tail
-        (K,) effective sample sizes (:func:`ess`), in draws.
+    All (K,): ``mean`` and ``sd`` in the unit of each scalar, rank-normalised split ``r_hat`` (:func:`rhat`), effective
+    sample sizes ``ess_bulk`` and ``ess_tail`` (:func:`ess`) in draws.
 
     Examples
     --------

@@ -14,14 +14,6 @@ def require(module: str, extra: str) -> ModuleType:
 
     ``module`` is its full name and ``extra`` the extra of this project that installs it; a :class:`MissingExtra`, which
     is an ``ImportError``, when it or a module that it imports is not installed.
-
-    Examples
-    --------
-    >>> require("json", "shapes").dumps([1, 2])
-    '[1, 2]'
-    >>> require("no_such_package", "shapes")
-    Traceback (most recent call last):
-    fmsync.extras.MissingExtra: importing no_such_package needs the extra "shapes": pip install "fmsync[shapes]"
     """
     try:
         return importlib.import_module(module)

@@ -53,15 +53,9 @@ def functional_map_from_descriptors(
     (:math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)` with :math:`w' = w \lVert B \rVert_F^2 /
     \lambda_{\max}^2`), which never descends and ends in a local maximum.
 
-    Parameters
-    ----------
-    descriptors_i, descriptors_j
-        Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
-    orthogonal
-        Search SO(n) instead of all matrices; needs n_i = n_j. The best rotation is a poor answer when the true map is
-        near a reflection: fix the signs of the eigenfunctions first (:meth:`Basis.with_flipped`).
-    commutativity
-        Weight w >= 0 of the second term.
+    Descriptors are functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity; ``commutativity``
+    is the weight w >= 0. ``orthogonal`` searches SO(n) instead of all matrices and needs n_i = n_j. The best rotation
+    is a poor answer when the true map is near a reflection: fix the signs first (:meth:`Basis.with_flipped`).
 
     Examples
     --------

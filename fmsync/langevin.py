@@ -60,11 +60,6 @@ def matched_kappa(n: int, cosine: float) -> float:
 
     Mean cosines <= 0 give 0. For the noise proj(I + σG), ``cosine`` is E tr Z / n
     (:func:`fmsync.bounds.projected_noise_moments`).
-
-    Examples
-    --------
-    >>> round(matched_kappa(20, 0.25), 3)
-    5.0
     """
     if cosine <= 0:
         return 0.0

@@ -29,10 +29,9 @@ class SyncProblem:
 
     Parameters
     ----------
-    n_nodes
-        Number of shapes N >= 2.
-    edges
-        (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and appear in both directions.
+    n_nodes, edges
+        Number of shapes N >= 2, and (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and
+        appear in both directions.
     maps
         (E, n, n) observations. They need not be orthogonal, but the estimators on SO(n) expect nearly so.
     weights
@@ -211,16 +210,8 @@ def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
-    A direction that no edge observes is read as the transpose of the other one, which only rotations justify; of
-    repeated edges the last counts.
-
-    Returns (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> fmsync.problem.cycle_error(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    array([0.])
+    (T,) one error per triangle, 0 for consistent maps. A direction that no edge observes is read as the transpose of
+    the other one, which only rotations justify; of repeated edges the last counts.
     """
     pairs, maps = np.asarray(edges).tolist(), np.asarray(maps, dtype=float)
     lookup = {(j, i): c.T for (i, j), c in zip(pairs, maps)} | {(i, j): c for (i, j), c in zip(pairs, maps)}

@@ -169,17 +169,11 @@ def frechet_mean(
 ) -> np.ndarray:
     r"""Fréchet mean over the first axis: the rotation with the least sum of squared distances to all.
 
-    Parameters
-    ----------
-    rotations
-        (K, ..., n, n); the axes in the middle are independent problems.
-    distance
-        ``"chordal"``: :math:`\lVert A-B\rVert_F`, in closed form the projection of the arithmetic mean.
-        ``"geodesic"``: by the fixed point :math:`M \leftarrow M\exp(\overline{\log(M^\top R_k)})`, started at the
-        chordal mean; unique when all rotations lie within π/2 (operator norm) of it.
-    tolerance, max_iterations
-        The fixed point stops when the mean logarithm is shorter; a RuntimeError when it does not in so many steps,
-        because the rotations are too far apart for a mean to be trusted.
+    Takes (K, ..., n, n); the axes in the middle are independent problems. ``distance`` is ``"chordal"``,
+    :math:`\lVert A-B\rVert_F`, in closed form the projection of the arithmetic mean, or ``"geodesic"``, by the fixed
+    point :math:`M \leftarrow M\exp(\overline{\log(M^\top R_k)})`, started at the chordal mean; unique when all
+    rotations lie within π/2 (operator norm) of it. It stops when the mean logarithm is shorter than ``tolerance``; a
+    RuntimeError when it does not in ``max_iterations`` steps: the rotations are too far apart to trust a mean.
 
     Examples
     --------

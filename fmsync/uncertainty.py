@@ -13,14 +13,6 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
 
     ``relative_draws`` (K, n_i, n_j) are draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> from fmsync.shape import Basis
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> fmsync.uncertainty.vertex_images(np.stack([np.eye(2), np.diag([1.0, -1.0])]), basis, basis, 0)
-    array([0, 1])
     """
     relative_draws = np.asarray(relative_draws, dtype=float)
     if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):

@@ -85,7 +85,7 @@ class Estimate:
     n_starts, n_agreeing
         With ``restarts=k``: how many starts were made, and how many of them came to this cost.
     edge_weights
-        (E,) in [0, 1]: the inlier weight that ``"robust"`` gave each edge; None for the others.
+        (E,) in [0, 1]: inlier weights of ``"robust"``; None for the others.
     """
 
     problem: SyncProblem
@@ -125,9 +125,8 @@ class Estimate:
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
 
 
-def estimator(name: str) -> Callable[[Callable[..., Estimate]], Callable[..., Estimate]]:
-    """Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name."""
-    return ESTIMATORS.register(name)
+#: Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name.
+estimator = ESTIMATORS.register
 
 
 def methods() -> list[str]:

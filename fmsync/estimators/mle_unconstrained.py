@@ -26,13 +26,9 @@ def mle_unconstrained(
     Without the gauge the minimiser is C = 0, whatever was observed. With it this is a linear least-squares problem in
     the blocks of C_2..C_N, the same for each of their n rows.
 
-    Parameters
-    ----------
-    solver
-        ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
-        random start, to watch a convergence.
-    tolerance, max_iterations
-        For ``"iterative"``: norm of the gradient at which to stop, and steps at most.
+    The ``solver`` is ``"exact"``, one sparse factorisation, or ``"iterative"``, conjugate gradients on the normal
+    equations from a random start, to watch a convergence; ``tolerance`` is then the norm of the gradient at which to
+    stop, after ``max_iterations`` steps at most.
 
     The estimate is off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
     """

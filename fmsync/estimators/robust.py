@@ -58,15 +58,6 @@ def robust(
         Rounds, at most.
 
     The ``cost`` is the robust cost; ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> maps = np.stack([np.eye(4)] * 6)
-    >>> maps[2] = fmsync.so.random_uniform(4, rng=0)
-    >>> p = fmsync.SyncProblem(4, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]], maps)
-    >>> fmsync.solve(p, "robust").edge_weights.round(3)
-    array([1., 1., 0., 1., 1., 1.])
     """
     checks.one_of("loss", loss, LOSSES)
     absolute = starting_point(problem, init, rng, group)

@@ -27,10 +27,8 @@ def solve(
 
     Parameters
     ----------
-    problem, method
-        What was observed, and a name of :func:`methods`.
-    rng
-        Seed or generator: same seed, same answer.
+    problem, method, rng
+        What was observed, a name of :func:`methods`, and a seed or generator: same seed, same answer.
     callback
         Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each accepted step of an
         iterative method; direct methods call it once.

@@ -24,12 +24,8 @@ def spectral(
     rounds every block to the nearest rotation (Singer 2011, Singer & Wu 2012). Exact for consistent maps; recovers
     something while the mean cosine of the noise exceeds :math:`1/\sqrt{N+1}`.
 
-    Parameters
-    ----------
-    group
-        ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
-    tolerance
-        Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
+    The ``group`` ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant; ``tolerance``
+    is the residual, of eigenvalues of order 1, at which the block iteration for large problems stops.
     """
     estimate = Estimate.from_absolute(problem, spectral_maps(problem, rng, group, tolerance), "spectral", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))

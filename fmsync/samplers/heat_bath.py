@@ -28,12 +28,8 @@ class HeatBath(Sampler):
     angle about the mode (over-relaxation, which moves far at the same density) and once to draw it.
 
     On several cores chains run side by side, or, when they are fewer than the cores, nodes of one graph colour. Draws
-    do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``).
-
-    Parameters
-    ----------
-    over_relaxations
-        Reflections before each draw, >= 0.
+    do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``). ``over_relaxations`` >= 0
+    are the reflections before each draw.
     """
 
     def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, over_relaxations: int = 1):
@@ -71,7 +67,6 @@ class HeatBath(Sampler):
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
         return so.transpose(self._x)
 
     def energy(self) -> np.ndarray:

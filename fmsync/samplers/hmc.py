@@ -101,11 +101,9 @@ class HMC(Sampler):
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
         return self._c
 
     def energy(self) -> np.ndarray:
-        """(K,) energy of the observations, without the prior."""
         return self._observed
 
     def step(self, warmup: bool) -> None:
