@@ -66,11 +66,9 @@ class Summary:
     ess_tail: np.ndarray
 
     def __len__(self) -> int:
-        """Number of scalars K."""
         return len(self.names)
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is a scalar of that name."""
         return name in self.names
 
     def __getitem__(self, name: str) -> dict[str, float]:

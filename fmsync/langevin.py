@@ -49,7 +49,7 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
 def mean_cosine(n: int, kappa: float | np.ndarray) -> np.ndarray:
     r""":math:`\beta_n(\kappa) = E\operatorname{tr}(M^\top R)/n = \frac1n\frac{d}{d\kappa}\log c_n(\kappa)`, in [0, 1).
 
-    Parameters and errors as in :func:`log_normaliser`; absolute error below 1e-12.
+    Arguments as in :func:`log_normaliser`; absolute error below 1e-12.
     """
     kappa, flat = _checked(n, kappa)
     return (_derivative(n, flat) / n).reshape(kappa.shape)[()]

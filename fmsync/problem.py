@@ -181,12 +181,9 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     checks.positive("kappa", kappa)
     held = np.flatnonzero(prior.kappa)
     edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
-    return SyncProblem(
-        problem.n_nodes + 1,
-        np.concatenate([problem.edges, edges]),
-        np.concatenate([problem.maps, prior.mean[held]]),
-        np.concatenate([problem.weights, prior.kappa[held] / kappa]),
-    )
+    maps = np.concatenate([problem.maps, prior.mean[held]])
+    weights = np.concatenate([problem.weights, prior.kappa[held] / kappa])
+    return SyncProblem(problem.n_nodes + 1, np.concatenate([problem.edges, edges]), maps, weights)
 
 
 def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:

@@ -81,10 +81,8 @@ class Basis:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
             object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
-            raise ValueError(
-                f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {self.eigenfunctions.shape}, "
-                f"{self.mass.shape} and {self.eigenvalues.shape}"
-            )
+            shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
+            raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")
 
     @property
     def n(self) -> int:

@@ -70,22 +70,10 @@ class Recorder:
 class Estimate:
     """A point estimate.
 
-    Attributes
-    ----------
-    absolute
-        (N, n, n) absolute maps in the gauge C_1 = I (or in the gauge of the prior).
-    cost
-        The estimator's own cost at ``absolute``.
-    converged
-        Whether the tolerance of the optimiser was met.
-    trace
-        :class:`~fmsync.estimators.Trace`; None for direct methods.
-    on_group
-        Whether ``absolute`` are rotations; unconstrained estimates are not.
-    n_starts, n_agreeing
-        With ``restarts=k``: how many starts were made, and how many of them came to this cost.
-    edge_weights
-        (E,) in [0, 1]: inlier weights of ``"robust"``; None for the others.
+    ``absolute`` (N, n, n) are in the gauge C_1 = I (or in that of the prior), on the group unless the estimator is
+    unconstrained (``on_group``); ``cost`` is the estimator's own there. ``converged``: the tolerance of the optimiser
+    was met; ``trace`` is None for direct methods. With ``restarts=k`` of ``n_starts`` starts ``n_agreeing`` came to
+    this cost. ``edge_weights`` (E,) in [0, 1] are the inlier weights of ``"robust"``, None for the others.
     """
 
     problem: SyncProblem

@@ -47,10 +47,8 @@ def robust(
 
     Parameters
     ----------
-    loss
-        ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    init, group
-        As in ``"mle"``.
+    loss, init, group
+        One of these losses; start and group as in ``"mle"``.
     tolerance
         Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
         it is proportional to the gradient of the robust cost.
@@ -65,26 +63,18 @@ def robust(
     if loss == "l1":
         rule = _L1(problem)
     else:
-        absolute = _reweigh(problem, _L1(problem), absolute, callback=None, tolerance=1e-2, max_iterations=50)[0]
+        absolute = _reweigh(problem, _L1(problem), absolute, None, 1e-2, 50)[0]
         rule = (_GemanMcClure if loss == "geman-mcclure" else _Mixture)(problem, _squares(problem, absolute))
-    absolute, cost, weights, converged, trace = _reweigh(
-        problem, rule, absolute, callback=callback, tolerance=tolerance, max_iterations=max_iterations
-    )
-    found = {"cost": cost, "converged": converged, "trace": trace, "edge_weights": weights}
-    return Estimate.from_absolute(problem, absolute, "robust", group, **found)
+    absolute, *found = _reweigh(problem, rule, absolute, callback, tolerance, max_iterations)
+    fields = dict(zip(("cost", "edge_weights", "converged", "trace"), found))
+    return Estimate.from_absolute(problem, absolute, "robust", group, **fields)
 
 
 def _reweigh(
-    problem: SyncProblem,
-    rule: "_Rule",
-    absolute: np.ndarray,
-    *,
-    callback: Callback | None,
-    tolerance: float,
-    max_iterations: int,
+    problem: SyncProblem, rule: "_Rule", absolute: np.ndarray, call: Callback | None, tolerance: float, rounds: int
 ) -> tuple[np.ndarray, float, np.ndarray, bool, Trace]:
     """Rounds of weights and weighted least squares: (rotations, cost, inlier weights, converged, trace)."""
-    recorder = Recorder(callback)
+    recorder = Recorder(call)
     while True:
         squares = _squares(problem, absolute)
         cost, inlier = rule.update(squares)
@@ -92,7 +82,7 @@ def _reweigh(
         weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
         norm = float(np.linalg.norm(gradient(weighted, absolute)))
         recorder(absolute, cost, norm)
-        if norm <= tolerance or len(recorder) > max_iterations:
+        if norm <= tolerance or len(recorder) > rounds:
             break
         inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
         absolute, _, _ = minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
@@ -115,9 +105,9 @@ def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
 
 
 class _Rule(Protocol):
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost of squared residuals (E,), and the inlier weight of each edge."""
-        ...
+    """The cost of squared residuals (E,), and the inlier weight of each edge."""
+
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]: ...
 
 
 class _L1:

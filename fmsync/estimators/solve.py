@@ -35,11 +35,10 @@ def solve(
     restarts
         Number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest answer is
         returned, and its ``n_agreeing`` counts the starts that came to its cost.
-    options
-        Passed to the estimator; an unknown option is refused with the list of known ones.
 
-    Warns with a RuntimeWarning when the method stopped before its tolerance was met; ``converged`` is then False. Warns
-    with a UserWarning that names the worst edge when maps far from orthogonal met a method that answers with rotations.
+    An unknown option is refused with the list of known ones. Warns with a RuntimeWarning when the method stopped before
+    its tolerance was met (``converged`` is then False), and with a UserWarning that names the worst edge when maps far
+    from orthogonal met a method that answers with rotations.
 
     Examples
     --------

@@ -61,7 +61,6 @@ class HeatBath(Sampler):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, and whether κ or σ² is inferred."""
         inferred = self._polar_factors is not None or self._concentration.inferred
         return {"likelihood": self._likelihood, "over_relaxations": self._over, "kappa_inferred": inferred}
 
@@ -70,7 +69,6 @@ class HeatBath(Sampler):
         return so.transpose(self._x)
 
     def energy(self) -> np.ndarray:
-        """(K,) Euclidean energy of the observations, without the prior."""
         if self._polar_factors is not None:
             return euclidean_energy(self._problem, self.state)
         return self._problem.constant - 2 * self._traces

@@ -29,10 +29,8 @@ class HMC(Sampler):
 
     Parameters
     ----------
-    integrator
-        ``"cayley"`` or ``"exp"``.
-    step
-        ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
+    integrator, step
+        ``"cayley"`` or ``"exp"``; ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
         2014), towards 80 % acceptance, and then frozen.
     length
         Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:

@@ -14,18 +14,10 @@ from fmsync.problem import SyncProblem, relative_maps
 class Posterior:
     r"""Draws of the absolute maps; only what does not change under :math:`C_i \to Q C_i` means anything.
 
-    Attributes
-    ----------
-    absolute
-        (chains, draws, N, n, n) rotations in whatever gauge the chains were.
-    energy
-        (chains, draws) potential U of every draw, without the temperature.
-    kappa
-        (chains, draws) concentration of the observations; 1/σ² under the projected Gaussian likelihood.
-    interrupted
-        Whether Ctrl-C ended the run early; the draws before it are kept.
-    settings
-        Plain values the sampler ran with: step, warm-up, thinning, …
+    ``absolute`` (chains, draws, N, n, n) are rotations in whatever gauge the chains were. Of every draw (chains, draws)
+    ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
+    under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
+    ``settings`` are plain values the sampler ran with: step, warm-up, thinning, …
     """
 
     problem: SyncProblem
@@ -38,12 +30,10 @@ class Posterior:
 
     @property
     def n_chains(self) -> int:
-        """Number of chains."""
         return self.energy.shape[0]
 
     @property
     def n_draws(self) -> int:
-        """Draws of each chain."""
         return self.energy.shape[1]
 
     @property

@@ -49,12 +49,11 @@ def sample(
 
     Parameters
     ----------
-    problem, method
-        What was observed, and a name of :func:`fmsync.samplers.methods`.
-    rng
-        Seed or generator: same seed, same draws.
-    n_chains, n_draws, warmup, thin
-        Chains, draws kept of each, steps before the first draw, and steps from one draw to the next.
+    method
+        A name of :func:`fmsync.samplers.methods`.
+    n_chains, n_draws, warmup, thin, rng
+        Chains, draws kept of each, steps before the first draw, steps from one draw to the next, and a seed or
+        generator: same seed, same draws.
     init
         Where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``, every other
         chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for all chains,
@@ -103,7 +102,7 @@ def sample(
         if looks and energies.shape[1] == n_draws:
             unvisited = unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0])
             if unvisited is not None:
-                warnings.warn(str(unvisited), ConvergenceWarning, stacklevel=2)
+                warnings.warn(unvisited, ConvergenceWarning, stacklevel=2)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
     warn_unless_converged(post)
