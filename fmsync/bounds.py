@@ -38,6 +38,7 @@ def effective_resistance(
     edges = np.asarray(edges)
     checked = SyncProblem(n_nodes, edges, np.broadcast_to(np.eye(2), (len(edges), 2, 2)), weights)
     pairs = checked.edges if pairs is None else np.asarray(pairs)
+    checks.indices("pairs", pairs.ravel(), n_nodes, "nodes")
     grounded = grounded_laplacian(checked)
     resistance = np.empty(len(pairs))
     for first in range(0, len(pairs), 1024):  # a block of right-hand sides at a time

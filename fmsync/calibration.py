@@ -13,13 +13,7 @@ _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
-    """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right.
-
-    Examples
-    --------
-    >>> float(rank(np.arange(4.0), 1.5))
-    0.5
-    """
+    """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
     draws = np.asarray(draws)
     if draws.ndim == 0 or len(draws) == 0:
         raise ValueError("draws: need at least one along the first axis")
@@ -31,12 +25,6 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
 
     Small when the sampler, the likelihood or its temperature is wrong. The expected count of a bin takes into account
     how many of the ``n_draws + 1`` possible ranks fall in it.
-
-    Examples
-    --------
-    >>> u = np.random.default_rng(0).integers(0, 100, 500) / 99
-    >>> uniformity(u, 99) > 0.01 > uniformity(u**2, 99)
-    True
     """
     ranks = np.asarray(ranks, dtype=float)
     if ranks.ndim != 1 or len(ranks) < 5 * bins:
@@ -52,13 +40,6 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 
     The ball is :meth:`fmsync.Posterior.credible_balls`'s: centred at the arithmetic mean, distances of draws taken to
     the mean of the others. A ball of level q covers the truth if and only if this number is at most q.
-
-    Examples
-    --------
-    >>> from fmsync import so
-    >>> draws = so.random_uniform(3, 200, rng=0)
-    >>> 0 <= ball_level(draws, np.eye(3)) <= 1
-    True
     """
     draws = _checked(draws, truth)
     mean = draws.mean(axis=0)
@@ -68,26 +49,10 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 
 
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of truths that balls of the nominal levels cover, and its standard error.
+    """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
-    Parameters
-    ----------
-    levels
-        (P, M) results of :func:`ball_level` for M maps of P problems. Maps of one problem share its noise: the error is
-        that of a mean of P problem means.
-    nominal
-        (L,) probabilities.
-
-    Returns
-    -------
-    tuple
-        (L,) shares and (L,) standard errors.
-
-    Examples
-    --------
-    >>> shares, errors = coverage(np.random.default_rng(0).random((400, 5)), [0.5, 0.9])
-    >>> bool((abs(shares - [0.5, 0.9]) < 4 * errors).all())
-    True
+    ``levels`` (P, M) are results of :func:`ball_level` for M maps of P problems. Maps of one problem share its noise:
+    the error is that of a mean of P problem means.
     """
     levels = np.asarray(levels, dtype=float)
     if levels.ndim != 2 or len(levels) < 2:
@@ -97,26 +62,11 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarray:
-    r"""Whether credible balls of some levels hold the truths of K maps, (levels, K) booleans; splits the draws.
+    r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 
-    The ball of a map is centred at the mean m of the *even* draws, and its radius is the quantile of
-    :math:`\lVert X-m\rVert` over the *odd* ones: a centre taken from the same draws would lie too close to them.
-    :func:`ball_level` loses no draws to this, and needs draws that hardly depend on each other.
-
-    Parameters
-    ----------
-    draws
-        (T, K, n, n), T >= 4.
-    truth
-        (K, n, n).
-    levels
-        (L,) probabilities.
-
-    Examples
-    --------
-    >>> draws = np.random.default_rng(0).standard_normal((400, 1, 2, 2))
-    >>> covered(draws, np.zeros((1, 2, 2)), [0.5, 0.9]).ravel().tolist()
-    [True, True]
+    The ball of a map is centred at the mean m of the *even* ``draws`` (T, K, n, n), T >= 4, and its radius is the
+    quantile of :math:`\lVert X-m\rVert` over the *odd* ones: a centre taken from the same draws would lie too close to
+    them. :func:`ball_level` loses no draws to this, and needs draws that hardly depend on each other.
     """
     if len(draws) < 4:
         raise ValueError(f"draws: credible balls need at least four, got {len(draws)}")
@@ -126,13 +76,7 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
 
 
 def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
-    """Mean distance of coverage (L,) from the levels (L,) that were promised.
-
-    Examples
-    --------
-    >>> calibration_error([0.6, 0.8, 0.9], [0.5, 0.8, 0.9])
-    0.033333333333
-    """
+    """Mean distance of coverage (L,) from the levels (L,) that were promised."""
     return round(float(np.abs(np.subtract(shares, levels)).mean()), 12)
 
 
@@ -140,14 +84,8 @@ def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Energy score :math:`E\lVert C-C^*\rVert_F - \tfrac12E\lVert C-C'\rVert_F` of draws; lower is better.
 
     Strictly proper: on average the true posterior cannot be beaten (Gneiting & Raftery 2007). Unbiased, over all pairs
-    of two hundred draws that are evenly spread over those given.
-
-    Parameters
-    ----------
-    draws
-        (T, n, n), or (T, K, n, n) of K maps, whose scores are averaged.
-    truth
-        (n, n) or (K, n, n).
+    of two hundred draws that are evenly spread over those given. For draws (T, n, n) and truth (n, n), or (T, K, n, n)
+    and (K, n, n) of K maps, whose scores are averaged.
 
     Examples
     --------

@@ -10,16 +10,7 @@ _ORTHOGONALITY_TOLERANCE = 1e-6
 
 
 def count(name: str, value: float, least: int = 1) -> int:
-    """A whole number >= ``least``.
-
-    Examples
-    --------
-    >>> count("n_draws", 3.0)
-    3
-    >>> count("n_draws", True)
-    Traceback (most recent call last):
-    ValueError: n_draws: an integer >= 1, got True
-    """
+    """A whole number >= ``least``."""
     if isinstance(value, bool | str) or not np.isfinite(value) or int(value) != value or value < least:
         raise ValueError(f"{name}: an integer >= {least}, got {value}")
     return int(value)

@@ -14,12 +14,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; what can be expected to fail ends with one line on stderr and a status.
 
     2: bad input, or an extra that is missing; 1: it failed on the way, for instance on a full disk; 130: Ctrl-C.
-
-    Examples
-    --------
-    >>> from fmsync.cli import main
-    >>> main(["sync", "no_such_folder", "-o", "matched"])
-    2
     """
     parser = argparse.ArgumentParser(prog="fmsync", description=fmsync.__doc__.partition("\n")[0])
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")

@@ -5,14 +5,7 @@ from numpy.typing import ArrayLike
 
 
 def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
-    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map.
-
-    Examples
-    --------
-    >>> colours_from_coordinates([[0, 0, 0], [2, 4, 8]])
-    array([[0.1, 0.1, 0.1],
-           [1. , 1. , 1. ]])
-    """
+    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map."""
     vertices = np.asarray(vertices, dtype=float)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return 0.1 + 0.9 * (vertices - low) / np.where(high > low, high - low, 1)

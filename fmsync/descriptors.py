@@ -17,13 +17,6 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     Times are log-spaced between :math:`4 \ln 10 / \lambda_n` and :math:`4 \ln 10 / \lambda_2`. Dividing by the trace
     weighs all times alike; the area-weighted mean of every column is then 1. Returns (V, ``n_times``) for a basis of at
     least two eigenfunctions on V vertices, short times first.
-
-    Examples
-    --------
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> heat_kernel_signature(basis, 2)
-    array([[1., 1.],
-           [1., 1.]])
     """
     return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
 
@@ -35,12 +28,6 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as Aubry et al. do.
 
     Returns (V, ``n_energies``), low energies first; the area-weighted mean of every column is 1.
-
-    Examples
-    --------
-    >>> basis = Basis([0.0, 2.0, 5.0], np.sqrt(3) * np.eye(3), [1 / 3, 1 / 3, 1 / 3])
-    >>> wave_kernel_signature(basis, 4).shape
-    (3, 4)
     """
     _check(basis, n_energies, "n_energies")
     logs = np.log(basis.eigenvalues[1:])
@@ -60,12 +47,6 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
     Each column is scaled to area-weighted norm 1, so that long and short times weigh alike. ``landmarks`` (L,) are
     vertices y, the same points in the same order on every shape; times are those of :func:`heat_kernel_signature`.
     Returns (V, L * n_times), the times of the first landmark first.
-
-    Examples
-    --------
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> bool(np.diff(heat_kernel(basis, [0], 1)[:, 0]) < 0)  # colder away from the source
-    True
     """
     landmarks = checks.indices("landmarks", landmarks, basis.n_vertices)
     decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)

@@ -47,16 +47,8 @@ class ConvergenceWarning(UserWarning):
 class Summary:
     """Statistics of K scalars over all chains and draws; printed, and displayed by a notebook, as a table.
 
-    Attributes
-    ----------
-    names
-        Of the K scalars.
-    mean, sd
-        (K,) mean and standard deviation, in the unit of each scalar.
-    r_hat
-        (K,) rank-normalised split R-hat (:func:`rhat`).
-    ess_bulk, ess_tail
-        (K,) effective sample sizes (:func:`ess`), in draws.
+    All (K,): ``mean`` and ``sd`` in the unit of each scalar, rank-normalised split ``r_hat`` (:func:`rhat`), effective
+    sample sizes ``ess_bulk`` and ``ess_tail`` (:func:`ess`) in draws.
 
     Examples
     --------
@@ -77,11 +69,9 @@ class Summary:
     ess_tail: np.ndarray
 
     def __len__(self) -> int:
-        """Number of scalars K."""
         return len(self.names)
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is a scalar of that name."""
         return name in self.names
 
     def __getitem__(self, name: str) -> dict[str, float]:
@@ -145,14 +135,7 @@ def rhat(values: np.ndarray) -> float:
 
 
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
-    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, ``"tail"`` for its tails.
-
-    Examples
-    --------
-    >>> walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 500)), axis=1)
-    >>> ess(walk) < 50
-    True
-    """
+    """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
     checks.one_of("kind", kind, ("bulk", "tail"))
     values = _checked(values)
     if not _varies(values):
@@ -180,13 +163,6 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
 
     Warns with :class:`ConvergenceWarning` when an R-hat is above 1.01 or an effective sample size below 400.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.sample(p, n_chains=2, n_draws=100, warmup=50).summary().names
-    ('energy', 'tr C[0,1]', 'C[0,1][0,0]')
     """
     values = scalars(post, edges)
     mean, sd, r_hat, bulk, tail = np.array(
@@ -248,15 +224,7 @@ def _varies(values: np.ndarray) -> bool:
 
 @contextmanager
 def short_run() -> Iterator[None]:
-    """Silence :class:`ConvergenceWarning` around one run that is short on purpose.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> with fmsync.diagnostics.short_run():
-    ...     post = fmsync.sample(p, n_chains=1, n_draws=10, warmup=0)
-    """
+    """Silence :class:`ConvergenceWarning` around one run that is short on purpose."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         yield

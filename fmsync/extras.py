@@ -14,14 +14,6 @@ def require(module: str, extra: str) -> ModuleType:
 
     ``module`` is its full name and ``extra`` the extra of this project that installs it; a :class:`MissingExtra`, which
     is an ``ImportError``, when it or a module that it imports is not installed.
-
-    Examples
-    --------
-    >>> require("json", "shapes").dumps([1, 2])
-    '[1, 2]'
-    >>> require("no_such_package", "shapes")
-    Traceback (most recent call last):
-    fmsync.extras.MissingExtra: importing no_such_package needs the extra "shapes": pip install "fmsync[shapes]"
     """
     try:
         return importlib.import_module(module)
@@ -35,12 +27,6 @@ def require_all(user: str, extra: str, *modules: str) -> None:
 
     A package that is of no use without an extra calls this before its other imports, so that a missing module is
     reported at once and not after long work.
-
-    Examples
-    --------
-    >>> require_all("fmsync.viz", "viz", "json", "no_such_package")
-    Traceback (most recent call last):
-    fmsync.extras.MissingExtra: fmsync.viz needs the extra "viz": pip install "fmsync[viz]"
     """
     for module in modules:
         if importlib.util.find_spec(module) is None:

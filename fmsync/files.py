@@ -10,17 +10,7 @@ from typing import BinaryIO
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """A new file beside ``path``, open for writing, that takes its place at the end; after an error nothing is left.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with replacing(f"{folder}/answer") as file:
-    ...         _ = file.write(b"42")
-    ...     Path(folder, "answer").read_text()
-    '42'
-    """
+    """A new file beside ``path``, open for writing, that takes its place at the end; after an error nothing is left."""
     path = Path(path)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:

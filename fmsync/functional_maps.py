@@ -13,12 +13,8 @@ from fmsync.shape import Basis
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
     r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
-    Parameters
-    ----------
-    basis_i, basis_j
-        Bases of n_i functions on V_i vertices, and of n_j on V_j.
-    point_map
-        (V_i,) the vertex of j that each vertex of i goes to: P f = f[point_map].
+    Bases hold n_i functions on V_i vertices, and n_j on V_j; ``point_map`` (V_i,) is the vertex of j that each vertex
+    of i goes to: P f = f[point_map].
 
     Examples
     --------
@@ -57,17 +53,9 @@ def functional_map_from_descriptors(
     (:math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)` with :math:`w' = w \lVert B \rVert_F^2 /
     \lambda_{\max}^2`), which never descends and ends in a local maximum.
 
-    Parameters
-    ----------
-    basis_i, basis_j
-        As in :func:`functional_map`.
-    descriptors_i, descriptors_j
-        Functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity.
-    orthogonal
-        Search SO(n) instead of all matrices; needs n_i = n_j. The best rotation is a poor answer when the true map is
-        near a reflection: fix the signs of the eigenfunctions first (:meth:`Basis.with_flipped`).
-    commutativity
-        Weight w >= 0 of the second term.
+    Descriptors are functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity; ``commutativity``
+    is the weight w >= 0. ``orthogonal`` searches SO(n) instead of all matrices and needs n_i = n_j. The best rotation
+    is a poor answer when the true map is near a reflection: fix the signs first (:meth:`Basis.with_flipped`).
 
     Examples
     --------
@@ -99,17 +87,7 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     An exhaustive search in blocks that stay in the cache, one matrix product each: a search tree is faster on clean
     maps but several times slower on noisy ones, where nothing can be pruned.
 
-    Parameters
-    ----------
-    c_ij, basis_i, basis_j
-        (n_i, n_j) functional map, and bases as in :func:`functional_map`.
-    vertices
-        (v,) vertices of i to map; all of them if None.
-
-    Returns
-    -------
-    ndarray
-        (V_i,) or (v,) vertices of j. Ties go to the lowest index.
+    Takes (n_i, n_j) to (V_i,) vertices of j, or (v,) for some ``vertices`` (v,) of i. Ties go to the lowest index.
 
     Examples
     --------

@@ -49,12 +49,7 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
 def mean_cosine(n: int, kappa: float | np.ndarray) -> np.ndarray:
     r""":math:`\beta_n(\kappa) = E\operatorname{tr}(M^\top R)/n = \frac1n\frac{d}{d\kappa}\log c_n(\kappa)`, in [0, 1).
 
-    Parameters and errors as in :func:`log_normaliser`; absolute error below 1e-12.
-
-    Examples
-    --------
-    >>> mean_cosine(20, [5.0, 50.0]).round(4)
-    array([0.25  , 0.9047])
+    Arguments as in :func:`log_normaliser`; absolute error below 1e-12.
     """
     kappa, flat = _checked(n, kappa)
     return (_derivative(n, flat) / n).reshape(kappa.shape)[()]
@@ -65,11 +60,6 @@ def matched_kappa(n: int, cosine: float) -> float:
 
     Mean cosines <= 0 give 0. For the noise proj(I + σG), ``cosine`` is E tr Z / n
     (:func:`fmsync.bounds.projected_noise_moments`).
-
-    Examples
-    --------
-    >>> round(matched_kappa(20, 0.25), 3)
-    5.0
     """
     if cosine <= 0:
         return 0.0

@@ -32,10 +32,7 @@ _PLY_TYPES |= {"float32": "f4", "double": "f8", "float64": "f8"}
 def mesh_files(paths: Iterable[str | Path]) -> list[Path]:
     """Files that are named, or lie in folders that are named, each once; a folder's in natural order (2 before 10).
 
-    Raises
-    ------
-    ValueError
-        A file is missing, a folder holds no meshes, or two files have one name, which is the name of the shape.
+    A ValueError when a file is missing, a folder holds no meshes, or two files have one name, which names the shape.
     """
     files: list[Path] = []
     for path in map(Path, paths):
@@ -60,17 +57,9 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
     Polygons are cut into fans of triangles; normals, colours, texture coordinates and other elements are skipped. What
     :func:`fmsync.mesh_repair.repaired` mends, such as corners at one place (all those of an STL), it warns of.
 
-    Parameters
-    ----------
-    path
-        ``.off``, ``.obj``, ``.ply``, ``.stl``, or ``.vert`` with a ``.tri`` of the same name beside it.
-    manifold
-        Refuse surfaces with faces without area or edges in more than two faces.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read, or the mesh cannot be repaired; says which file, where, and what to do.
+    Reads ``.off``, ``.obj``, ``.ply``, ``.stl``, and ``.vert`` with a ``.tri`` of the same name beside it; ``manifold``
+    refuses surfaces with faces without area or edges in more than two faces. A ValueError that says which file, where,
+    and what to do when the file cannot be read or the mesh cannot be repaired.
     """
     path = _existing(Path(path))
     readers = {".off": _read_off, ".obj": _read_obj, ".ply": _read_ply, ".stl": _read_stl, ".vert": _read_vert_tri}

@@ -16,11 +16,8 @@ def repaired(
     edges with more than two faces (dropped), debris beside a component that holds 90 % of the area (dropped), vertices
     that no face uses (dropped, which renumbers those behind them).
 
-    Raises
-    ------
-    ValueError
-        Refused, naming the first offender: faces out of range, several large components; of a ``manifold`` also three
-        corners on one line, and an edge with more than two faces that is not a fin's.
+    Refused by a ValueError that names the first offender: faces out of range, several large components; of a
+    ``manifold`` also three corners on one line, and an edge with more than two faces that is not a fin's.
     """
     said: list[str] = []
     outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)

@@ -17,20 +17,9 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     The first map counts with accuracy 1 whatever was sampled, and n² separate searches are won by any sampler that
     scatters widely enough: the number separates samplers poorly.
 
-    Parameters
-    ----------
-    draws
-        (K, N, n, n) absolute maps in any gauge; for chains ``post.absolute.reshape(-1, N, n, n)``. They need not be
-        rotations, only invertible in the first node.
-    truth
-        (N, n, n) rotations.
-    counts
-        (M,) numbers of samples, between 1 and K; 1..K by default.
-
-    Returns
-    -------
-    ndarray
-        (M,) accuracies in (0, 1], never falling with the count.
+    ``draws`` (K, N, n, n) are absolute maps in any gauge (``post.absolute.reshape(-1, N, n, n)``), not necessarily
+    rotations, only invertible in the first node; ``truth`` (N, n, n) are rotations. Returns (M,) accuracies in (0, 1],
+    never falling, for ``counts`` (M,) of samples, between 1 and K; 1..K by default.
 
     Examples
     --------
@@ -58,11 +47,6 @@ def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Genera
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 
     ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
-
-    Examples
-    --------
-    >>> haar_baseline(so.random_uniform(4, 3, rng=0), 10).shape
-    (10, 3, 4, 4)
     """
     checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)

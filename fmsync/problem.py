@@ -18,8 +18,7 @@ from fmsync import checks
 from fmsync.files import replacing
 from fmsync.so import transpose
 
-_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges: a little later for
-# one set of maps, a little sooner for a batch
+_DENSE_FROM = 0.5  # fraction of filled blocks from which one dense product beats a loop over edges
 _FIELDS = ("n_nodes", "edges", "maps", "weights", "provenance")  # of a problem file
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
@@ -30,10 +29,9 @@ class SyncProblem:
 
     Parameters
     ----------
-    n_nodes
-        Number of shapes N >= 2.
-    edges
-        (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and appear in both directions.
+    n_nodes, edges
+        Number of shapes N >= 2, and (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and
+        appear in both directions.
     maps
         (E, n, n) observations. They need not be orthogonal, but the estimators on SO(n) expect nearly so.
     weights
@@ -148,18 +146,8 @@ class SyncProblem:
 class LangevinPrior:
     r"""Independent matrix-Langevin priors :math:`p(C_i)\propto\exp(\kappa_i\operatorname{tr}(M_i^\top C_i))`.
 
-    Parameters
-    ----------
-    mean
-        (N, n, n) modes M_i, rotations.
-    kappa
-        (N,) or one float, concentrations >= 0; 0 leaves that map uniform. All zero would be no prior: ValueError.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0).kappa
-    array([5., 5.])
+    ``mean`` (N, n, n) are the modes M_i, rotations; ``kappa`` (N,) or one float are concentrations >= 0, where 0 leaves
+    that map uniform. All zero would be no prior: ValueError.
     """
 
     mean: np.ndarray
@@ -188,24 +176,14 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     :math:`\kappa_i\operatorname{tr}(M_i^\top C_i)` is the Langevin log-likelihood of an edge from a node with
     C = I to node i that observed M_i, relative to the others with weight κ_i/κ. So the maximum a posteriori estimate
     is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.problem.anchored(p, fmsync.LangevinPrior(np.stack([np.eye(3)] * 2), 5.0), kappa=10.0).weights
-    array([1. , 0.5, 0.5])
     """
     check_prior(problem, prior)
     checks.positive("kappa", kappa)
     held = np.flatnonzero(prior.kappa)
     edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
-    return SyncProblem(
-        problem.n_nodes + 1,
-        np.concatenate([problem.edges, edges]),
-        np.concatenate([problem.maps, prior.mean[held]]),
-        np.concatenate([problem.weights, prior.kappa[held] / kappa]),
-    )
+    maps = np.concatenate([problem.maps, prior.mean[held]])
+    weights = np.concatenate([problem.weights, prior.kappa[held] / kappa])
+    return SyncProblem(problem.n_nodes + 1, np.concatenate([problem.edges, edges]), maps, weights)
 
 
 def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
@@ -229,16 +207,8 @@ def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
-    A direction that no edge observes is read as the transpose of the other one, which only rotations justify; of
-    repeated edges the last counts.
-
-    Returns (T,) one error per triangle, 0 for consistent maps; empty when the graph has no triangle.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> fmsync.problem.cycle_error(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    array([0.])
+    (T,) one error per triangle, 0 for consistent maps. A direction that no edge observes is read as the transpose of
+    the other one, which only rotations justify; of repeated edges the last counts.
     """
     pairs, maps = np.asarray(edges).tolist(), np.asarray(maps, dtype=float)
     lookup = {(j, i): c.T for (i, j), c in zip(pairs, maps)} | {(i, j): c for (i, j), c in zip(pairs, maps)}

@@ -21,14 +21,8 @@ from fmsync.threads import single_threaded_blas
 class Shape:
     """A triangle mesh or, without faces, a point cloud.
 
-    Parameters
-    ----------
-    vertices
-        (V, 3) positions in any unit; kept as read-only float64.
-    faces
-        (F, 3) vertex indices, kept as read-only int64; None for a point cloud.
-    name
-        How messages and figures call the shape.
+    ``vertices`` (V, 3) are positions in any unit, kept as read-only float64; ``faces`` (F, 3) vertex indices, kept as
+    read-only int64, None for a point cloud; ``name`` is how messages and figures call the shape.
 
     Examples
     --------
@@ -67,14 +61,8 @@ class Shape:
 class Basis:
     """The first n Laplace–Beltrami eigenfunctions of a shape of unit area; all arrays are read-only.
 
-    Parameters
-    ----------
-    eigenvalues
-        (n,) ascending, for unit surface area (so free of the vertices' unit).
-    eigenfunctions
-        (V, n) columns Φ with Φᵀ A Φ = I.
-    mass
-        (V,) area of each vertex, the diagonal of A; sums to 1.
+    ``eigenvalues`` (n,) ascend; ``eigenfunctions`` (V, n) are columns Φ with Φᵀ A Φ = I; ``mass`` (V,), the area of
+    each vertex, is the diagonal of A and sums to 1.
 
     Examples
     --------
@@ -93,10 +81,8 @@ class Basis:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
             object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
-            raise ValueError(
-                f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {self.eigenfunctions.shape}, "
-                f"{self.mass.shape} and {self.eigenvalues.shape}"
-            )
+            shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
+            raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")
 
     @property
     def n(self) -> int:
@@ -137,19 +123,8 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     Laplacian of Sharp & Crane (2020) instead. The same input gives the same bits; the entry of largest magnitude of
     each eigenfunction is positive. That rule settles no sign on *another* shape, and on a symmetric shape it is a tie.
 
-    Parameters
-    ----------
-    vertices
-        (V, 3) positions in any unit.
-    faces
-        (F, 3) vertex indices, or None for a point cloud.
-    n_basis
-        Number n of eigenfunctions, 1 <= n < V.
-
-    Raises
-    ------
-    ImportError
-        A point cloud or a mesh that takes the intrinsic-Delaunay Laplacian, without the extra ``shapes``.
+    For ``vertices`` and ``faces`` as in :class:`Shape`, and 1 <= ``n_basis`` < V. An ImportError where the
+    intrinsic-Delaunay Laplacian is needed without the extra ``shapes``.
 
     Examples
     --------
@@ -179,12 +154,8 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
 
     # (A^½ (K + A)⁻¹ A^½) y = y / (λ + 1): the wanted end of the spectrum is the large one, and the shift of 1, small
     # beside 4π (Weyl's spacing at unit area), keeps K + A safely positive definite.
-    factor = splu(
-        (stiffness + sparse.diags_array(mass)).tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0,
-        options={"SymmetricMode": True},
-    )
+    shifted = (stiffness + sparse.diags_array(mass)).tocsc()
+    factor = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
     root = np.sqrt(mass)[:, None]  # (V, 1)
     with single_threaded_blas():
         values, vectors = largest_eigenpairs(lambda y: root * factor.solve(root * y), n_vertices, n_basis)

@@ -12,22 +12,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
 
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
 
-    Parameters
-    ----------
-    relative_draws
-        (K, n_i, n_j) draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
-    basis_i, basis_j
-        Bases of the two shapes.
-    vertex
-        Vertex of shape i.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> from fmsync.shape import Basis
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> fmsync.uncertainty.vertex_images(np.stack([np.eye(2), np.diag([1.0, -1.0])]), basis, basis, 0)
-    array([0, 1])
+    ``relative_draws`` (K, n_i, n_j) are draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
     """
     relative_draws = np.asarray(relative_draws, dtype=float)
     if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
@@ -37,11 +22,5 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
 
 
 def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
-    """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws.
-
-    Examples
-    --------
-    >>> image_density([2, 0, 2], 4)
-    array([1, 0, 2, 0])
-    """
+    """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws."""
     return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

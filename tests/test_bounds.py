@@ -116,3 +116,6 @@ def test_bad_input_is_named():
         fmsync.expected_rms_error(2, [[0, 1]], 3, np.nan)
     with pytest.raises(ValueError, match=r"falls into 2 components \(0, 1; 2, 3\)"):
         bounds.effective_resistance(4, [[0, 1], [2, 3]])
+    for pairs in ([[0, 3]], [[-1, 0]]):
+        with pytest.raises(ValueError, match=r"pairs\[.\] = -?[13] is outside the nodes 0..2"):
+            bounds.effective_resistance(3, [[0, 1], [1, 2]], pairs)

@@ -18,8 +18,7 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
 
 
-#: What estimates may be: rotations, or all orthogonal matrices.
-GROUPS = ("SO", "O")
+GROUPS = ("SO", "O")  # what estimates may be: rotations, or all orthogonal matrices
 _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back to machine precision
 
 
@@ -36,13 +35,7 @@ def nearest(a: np.ndarray, group: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What an optimiser saw at its start and after every accepted step.
-
-    Attributes
-    ----------
-    cost, gradient_norm, seconds
-        (K + 1,) each; the Frobenius norm of the gradient of the cost, and wall-clock seconds since the start.
-    """
+    """What an optimiser saw at its start and after every accepted step, (K + 1,) each; seconds since the start."""
 
     cost: np.ndarray
     gradient_norm: np.ndarray
@@ -77,24 +70,10 @@ class Recorder:
 class Estimate:
     """A point estimate.
 
-    Attributes
-    ----------
-    method
-        Registered name of the estimator.
-    absolute
-        (N, n, n) absolute maps in the gauge C_1 = I (or in the gauge of the prior).
-    cost
-        The estimator's own cost at ``absolute``.
-    converged
-        Whether the tolerance of the optimiser was met.
-    trace
-        :class:`~fmsync.estimators.Trace`, or None for direct methods.
-    on_group
-        Whether ``absolute`` are rotations; unconstrained estimates are not.
-    n_starts, n_agreeing
-        With ``restarts=k``: how many starts were made, and how many of them came to this cost.
-    edge_weights
-        (E,) in [0, 1]: the inlier weight that ``"robust"`` gave each edge; None for the others.
+    ``absolute`` (N, n, n) are in the gauge C_1 = I (or in that of the prior), on the group unless the estimator is
+    unconstrained (``on_group``); ``cost`` is the estimator's own there. ``converged``: the tolerance of the optimiser
+    was met; ``trace`` is None for direct methods. With ``restarts=k`` of ``n_starts`` starts ``n_agreeing`` came to
+    this cost. ``edge_weights`` (E,) in [0, 1] are the inlier weights of ``"robust"``, None for the others.
     """
 
     problem: SyncProblem
@@ -134,18 +113,10 @@ class Estimate:
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
 
 
-def estimator(name: str) -> Callable[[Callable[..., Estimate]], Callable[..., Estimate]]:
-    """Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name."""
-    return ESTIMATORS.register(name)
+#: Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name.
+estimator = ESTIMATORS.register
 
 
 def methods() -> list[str]:
-    """Names that :func:`solve` knows.
-
-    Examples
-    --------
-    >>> import fmsync
-    >>> "spectral" in fmsync.methods()
-    True
-    """
+    """Names that :func:`solve` knows."""
     return ESTIMATORS.names()

@@ -23,28 +23,11 @@ def maximum_a_posteriori(
     A prior on C_i is an observation of the edge from an anchor node held at the identity, so this is maximum
     likelihood on N + 1 nodes (:func:`fmsync.problem.anchored`). Without a prior it is exactly ``"mle"``.
 
-    Parameters
-    ----------
-    kappa
-        Concentration of the observations, against which the prior's is weighed; 2 is the paper's β = 1.
-    prior
-        :class:`~fmsync.LangevinPrior`; it fixes the gauge, so that ``absolute`` is not brought to C_1 = I.
-    problem, tolerance, max_iterations
-        As in ``"mle"``.
+    The prior's concentrations are weighed against ``kappa`` of the observations; 2 is the paper's β = 1. The ``prior``
+    (:class:`~fmsync.LangevinPrior`) fixes the gauge, so that ``absolute`` is not brought to C_1 = I. Other options are
+    those of ``"mle"``.
 
-    Returns
-    -------
-    Estimate
-        ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> prior = fmsync.LangevinPrior(fmsync.so.random_uniform(3, 2, rng=0), [1.0, 0.0])
-    >>> estimate = fmsync.solve(p, "map", kappa=5.0, prior=prior)
-    >>> bool(np.allclose(estimate.absolute[1], prior.mean[0], atol=1e-5))
-    True
+    The ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
     """  # noqa: E501
     whole = problem if prior is None else anchored(problem, prior, kappa)
     found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)

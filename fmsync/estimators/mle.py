@@ -25,8 +25,6 @@ def mle(
 
     Parameters
     ----------
-    problem, rng
-        Observed maps, and what a random start is drawn from.
     init
         ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a problem
         that had only the first few of these nodes: after a change this saves the spectral start.
@@ -37,13 +35,6 @@ def mle(
         Norm of the Riemannian gradient of U_E at which to stop.
     max_iterations
         Trust-region steps, rejected ones included.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], fmsync.so.random_uniform(3, 1, rng=0))
-    >>> fmsync.solve(p, "mle").cost < 1e-20
-    True
     """
     start = starting_point(problem, init, rng, group)
     absolute, converged, trace = minimise(

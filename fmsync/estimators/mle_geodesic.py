@@ -38,31 +38,19 @@ def mle_geodesic(
 
     Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
     U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], fmsync.so.random_uniform(3, 1, rng=0))
-    >>> fmsync.solve(p, "mle-geodesic").cost < 1e-20
-    True
     """
-    observed = so.project(problem.maps)
-    absolute = starting_point(problem, init, rng)
     recorder = Recorder(callback)
-    absolute, cost, norm = _minimise(problem, observed, absolute, recorder, tolerance, max_iterations)
+    start = starting_point(problem, init, rng)
+    absolute, cost, norm = _minimise(problem, start, recorder, tolerance, max_iterations)
     converged, trace = norm <= tolerance, recorder.trace()
     return Estimate.from_absolute(problem, absolute, "mle-geodesic", cost=cost, converged=converged, trace=trace)
 
 
 def _minimise(
-    problem: SyncProblem,
-    observed: np.ndarray,
-    absolute: np.ndarray,
-    recorder: Recorder,
-    tolerance: float,
-    max_iterations: int,
+    problem: SyncProblem, absolute: np.ndarray, recorder: Recorder, tolerance: float, max_iterations: int
 ) -> tuple[np.ndarray, float, float]:
     """Rotations, their cost and the norm of its gradient."""
+    observed = so.project(problem.maps)
     metric = _laplacian_inverse(problem)
     cost, gradient = _evaluate(problem, observed, absolute)
     norm, pairs = float(np.linalg.norm(gradient)), Pairs()

@@ -26,25 +26,11 @@ def mle_unconstrained(
     Without the gauge the minimiser is C = 0, whatever was observed. With it this is a linear least-squares problem in
     the blocks of C_2..C_N, the same for each of their n rows.
 
-    Parameters
-    ----------
-    solver
-        ``"exact"``: one sparse factorisation. ``"iterative"``: conjugate gradients on the normal equations from a
-        random start, to watch a convergence.
-    tolerance, max_iterations
-        For ``"iterative"``: norm of the gradient at which to stop, and steps at most.
+    The ``solver`` is ``"exact"``, one sparse factorisation, or ``"iterative"``, conjugate gradients on the normal
+    equations from a random start, to watch a convergence; ``tolerance`` is then the norm of the gradient at which to
+    stop, after ``max_iterations`` steps at most.
 
-    Returns
-    -------
-    Estimate
-        Off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> bool(np.allclose(fmsync.solve(p, "mle-unconstrained").absolute, np.eye(4)))
-    True
+    The estimate is off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":

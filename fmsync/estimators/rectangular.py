@@ -33,23 +33,7 @@ _DENSE_UP_TO = 1000  # matrix size
 class RectangularSyncProblem:
     """Observed maps of unequal sizes on the edges of a connected graph.
 
-    Parameters
-    ----------
-    n_nodes
-        Number of shapes N >= 2.
-    edges
-        (E, 2) integers; edge (i, j) observes a map from shape j to shape i.
-    maps
-        E arrays (n_i, n_j); the sizes n_i are read off them.
-    weights
-        (E,) positive; ones by default.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
-    >>> p.sizes
-    array([4, 3, 5])
+    As :class:`~fmsync.SyncProblem`, but ``maps`` are E arrays (n_i, n_j); the ``sizes`` (N,) are read off them.
     """
 
     n_nodes: int
@@ -133,18 +117,8 @@ def solve_rectangular(
     Trust regions on the product of the Stiefel manifolds St(m, n_i), from the leading eigenvectors of the connection
     matrix.
 
-    Parameters
-    ----------
-    problem
-        Observed maps.
-    universe
-        m; the largest n_i by default, which presumes that one shape sees everything.
-    init
-        ``"spectral"`` or ``"random"``.
-    rng
-        Seed or generator of the start.
-    tolerance, max_iterations
-        As in ``"mle"``; a RuntimeWarning tells that the tolerance was not met.
+    The size m of the ``universe`` is the largest n_i by default, which presumes that one shape sees everything;
+    ``init`` is ``"spectral"`` or ``"random"``. A RuntimeWarning tells that the gradient stayed above ``tolerance``.
 
     Examples
     --------
@@ -158,10 +132,9 @@ def solve_rectangular(
     if m < largest:
         node = int(problem.sizes.argmax())
         raise ValueError(f"universe: {m} is smaller than the {largest} basis functions of node {node}")
-    generator = np.random.default_rng(rng)
     with single_threaded_blas():
         model = Frames(problem, m)
-        start = _starting_frames(problem, m, init, generator)
+        start = _starting_frames(problem, m, init, np.random.default_rng(rng))
         absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
@@ -192,9 +165,8 @@ class Frames:
         weighted = self._problem.weights[:, None, None] * residual
         ambient = self._spread(absolute, weighted)
         curvature = sym(transpose(absolute) @ ambient)
-        return Point(
-            absolute, float(np.vdot(weighted, residual)), ambient - absolute @ curvature, (weighted, curvature)
-        )
+        cost = float(np.vdot(weighted, residual))
+        return Point(absolute, cost, ambient - absolute @ curvature, (weighted, curvature))
 
     def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
         (i, j), c = self._problem.edges.T, point.absolute

@@ -27,14 +27,6 @@ def mean_of_starts(
     ``method`` is an iterative one on :math:`SO(n)^N` with an ``init`` option, and ``options`` go to it. Returns the
     estimate at the mean (:func:`fmsync.so.frechet_mean`), its Euclidean energy as ``cost``, and the single answers. A
     RuntimeError when they are too far apart for a geodesic mean (beyond the recovery threshold); use ``"chordal"``.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> mean, starts = mean_of_starts(p, 3, rng=0)
-    >>> mean.cost < 1e-12, len(starts)
-    (True, 3)
     """
     streams = np.random.default_rng(rng).spawn(n_starts)
     starts = [solve(problem, method, rng=stream, init="random", **options) for stream in streams]

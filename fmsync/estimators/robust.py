@@ -43,35 +43,19 @@ def robust(
     * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
     * ``"l1"``: :math:`\sum w\sqrt{r^2+\delta^2}`, :math:`\delta = 10^{-4}\sqrt n` (Wang & Singer 2013).
 
-    The first two start from the l1 answer.
+    The first two start from the l1 answer. Wrong maps should be fewer than half at every node.
 
     Parameters
     ----------
-    problem
-        Observed maps, some of them wrong; fewer than half at every node, and not in a conspiracy.
-    loss
-        ``"mixture"``, ``"geman-mcclure"`` or ``"l1"``.
-    rng, init, group
-        As in ``"mle"``.
+    loss, init, group
+        One of these losses; start and group as in ``"mle"``.
     tolerance
         Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
         it is proportional to the gradient of the robust cost.
     max_iterations
         Rounds, at most.
 
-    Returns
-    -------
-    Estimate
-        ``cost`` is the robust cost. ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> maps = np.stack([np.eye(4)] * 6)
-    >>> maps[2] = fmsync.so.random_uniform(4, rng=0)
-    >>> p = fmsync.SyncProblem(4, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]], maps)
-    >>> fmsync.solve(p, "robust").edge_weights.round(3)
-    array([1., 1., 0., 1., 1., 1.])
+    The ``cost`` is the robust cost; ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
     """
     checks.one_of("loss", loss, LOSSES)
     absolute = starting_point(problem, init, rng, group)
@@ -79,26 +63,18 @@ def robust(
     if loss == "l1":
         rule = _L1(problem)
     else:
-        absolute = _reweigh(problem, _L1(problem), absolute, callback=None, tolerance=1e-2, max_iterations=50)[0]
+        absolute = _reweigh(problem, _L1(problem), absolute, None, 1e-2, 50)[0]
         rule = (_GemanMcClure if loss == "geman-mcclure" else _Mixture)(problem, _squares(problem, absolute))
-    absolute, cost, weights, converged, trace = _reweigh(
-        problem, rule, absolute, callback=callback, tolerance=tolerance, max_iterations=max_iterations
-    )
-    found = {"cost": cost, "converged": converged, "trace": trace, "edge_weights": weights}
-    return Estimate.from_absolute(problem, absolute, "robust", group, **found)
+    absolute, *found = _reweigh(problem, rule, absolute, callback, tolerance, max_iterations)
+    fields = dict(zip(("cost", "edge_weights", "converged", "trace"), found))
+    return Estimate.from_absolute(problem, absolute, "robust", group, **fields)
 
 
 def _reweigh(
-    problem: SyncProblem,
-    rule: "_Rule",
-    absolute: np.ndarray,
-    *,
-    callback: Callback | None,
-    tolerance: float,
-    max_iterations: int,
+    problem: SyncProblem, rule: "_Rule", absolute: np.ndarray, call: Callback | None, tolerance: float, rounds: int
 ) -> tuple[np.ndarray, float, np.ndarray, bool, Trace]:
     """Rounds of weights and weighted least squares: (rotations, cost, inlier weights, converged, trace)."""
-    recorder = Recorder(callback)
+    recorder = Recorder(call)
     while True:
         squares = _squares(problem, absolute)
         cost, inlier = rule.update(squares)
@@ -106,7 +82,7 @@ def _reweigh(
         weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
         norm = float(np.linalg.norm(gradient(weighted, absolute)))
         recorder(absolute, cost, norm)
-        if norm <= tolerance or len(recorder) > max_iterations:
+        if norm <= tolerance or len(recorder) > rounds:
             break
         inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
         absolute, _, _ = minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
@@ -129,9 +105,9 @@ def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
 
 
 class _Rule(Protocol):
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost of squared residuals (E,), and the inlier weight of each edge."""
-        ...
+    """The cost of squared residuals (E,), and the inlier weight of each edge."""
+
+    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]: ...
 
 
 class _L1:

@@ -11,9 +11,7 @@ from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
-_FAR = (
-    0.5  # orthogonality error of a map above which its user is warned; a map with a quarter of its rank missing has it
-)
+_FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
 def solve(
@@ -29,21 +27,18 @@ def solve(
 
     Parameters
     ----------
-    problem, method
-        What was observed, and a name of :func:`methods`.
-    rng
-        Seed or generator: same seed, same answer.
+    problem, method, rng
+        What was observed, a name of :func:`methods`, and a seed or generator: same seed, same answer.
     callback
         Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each accepted step of an
         iterative method; direct methods call it once.
     restarts
         Number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest answer is
         returned, and its ``n_agreeing`` counts the starts that came to its cost.
-    options
-        Passed to the estimator; an unknown option is refused with the list of known ones.
 
-    Warns with a RuntimeWarning when the method stopped before its tolerance was met; ``converged`` is then False. Warns
-    with a UserWarning that names the worst edge when maps far from orthogonal met a method that answers with rotations.
+    An unknown option is refused with the list of known ones. Warns with a RuntimeWarning when the method stopped before
+    its tolerance was met (``converged`` is then False), and with a UserWarning that names the worst edge when maps far
+    from orthogonal met a method that answers with rotations.
 
     Examples
     --------
@@ -81,8 +76,8 @@ def best_of_starts(
     """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
 
     What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came
-    to its cost up to one part in a million: that all agree is evidence for a global optimum, that some do not is
-    proof of local ones.
+    to its cost up to one part in a million: that all agree suggests a global optimum, that some do not is proof of
+    local ones.
     """
     checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)

@@ -14,13 +14,6 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
 
     ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
-    >>> fmsync.solve(p, "spanning-tree").cost
-    0.0
     """
     checks.one_of("group", group, GROUPS)
     graph = nx.empty_graph(problem.n_nodes)

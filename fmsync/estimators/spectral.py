@@ -16,12 +16,7 @@ _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 @estimator("spectral")
 def spectral(
-    problem: SyncProblem,
-    *,
-    rng: np.random.Generator,
-    callback: Callback,
-    group: str = "SO",
-    tolerance: float = 1e-6,
+    problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO", tolerance: float = 1e-6
 ) -> Estimate:
     r"""Synchronize by the leading eigenvectors of the degree-normalised connection matrix.
 
@@ -29,21 +24,8 @@ def spectral(
     rounds every block to the nearest rotation (Singer 2011, Singer & Wu 2012). Exact for consistent maps; recovers
     something while the mean cosine of the noise exceeds :math:`1/\sqrt{N+1}`.
 
-    Parameters
-    ----------
-    rng
-        Draws the start of the block iteration.
-    group
-        ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant.
-    tolerance
-        Residual at which the block iteration for large problems stops, of eigenvalues of order 1.
-
-    Examples
-    --------
-    >>> import numpy as np, fmsync
-    >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
-    >>> bool(np.allclose(fmsync.solve(p, "spectral").relative(), np.eye(4)))
-    True
+    The ``group`` ``"SO"`` answers with rotations, ``"O"`` with orthogonal matrices of either determinant; ``tolerance``
+    is the residual, of eigenvalues of order 1, at which the block iteration for large problems stops.
     """
     estimate = Estimate.from_absolute(problem, spectral_maps(problem, rng, group, tolerance), "spectral", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))

@@ -95,14 +95,8 @@ class Sampler(Protocol):
 
     Made as ``Sampler(target, start, rng, **options)`` from a :class:`Target` and rotations ``start`` (K, N, n, n).
 
-    Attributes
-    ----------
-    kappa
-        (K,) concentration of the observations.
-    ceiling
-        (K,) energies, or one for all, that no sound chain reaches: one that does has diverged.
-    advice
-        What to do when a chain has diverged.
+    ``kappa`` (K,) is the concentration of the observations. A chain whose energy reaches the ``ceiling``, (K,) or one
+    for all, has diverged, and ``advice`` says what to do then.
     """
 
     kappa: np.ndarray
@@ -132,18 +126,9 @@ class Sampler(Protocol):
         ...
 
 
-def sampler(name: str) -> Callable[[Callable[..., Sampler]], Callable[..., Sampler]]:
-    """Register a sampler class under a name."""
-    return SAMPLERS.register(name)
+sampler = SAMPLERS.register  #: register a sampler class under a name
 
 
 def methods() -> list[str]:
-    """Names that :func:`fmsync.sample` knows.
-
-    Examples
-    --------
-    >>> import fmsync
-    >>> "rlfm" in fmsync.samplers.methods()
-    True
-    """
+    """Names that :func:`fmsync.sample` knows."""
     return SAMPLERS.names()

@@ -28,14 +28,8 @@ class HeatBath(Sampler):
     angle about the mode (over-relaxation, which moves far at the same density) and once to draw it.
 
     On several cores chains run side by side, or, when they are fewer than the cores, nodes of one graph colour. Draws
-    do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``).
-
-    Parameters
-    ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`.
-    over_relaxations
-        Reflections before each draw, >= 0.
+    do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``). ``over_relaxations`` >= 0
+    are the reflections before each draw.
     """
 
     def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, over_relaxations: int = 1):
@@ -67,17 +61,14 @@ class HeatBath(Sampler):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, and whether κ or σ² is inferred."""
         inferred = self._polar_factors is not None or self._concentration.inferred
         return {"likelihood": self._likelihood, "over_relaxations": self._over, "kappa_inferred": inferred}
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
         return so.transpose(self._x)
 
     def energy(self) -> np.ndarray:
-        """(K,) Euclidean energy of the observations, without the prior."""
         if self._polar_factors is not None:
             return euclidean_energy(self._problem, self.state)
         return self._problem.constant - 2 * self._traces

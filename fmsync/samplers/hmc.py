@@ -23,17 +23,14 @@ class HMC(Sampler):
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
     step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon p_i)`,
-    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact.
+    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. The geodesic
+    energy needs κ or β, because its normaliser is not known; its gradient jumps on the cut locus, where draws stay
+    exact and fewer are accepted.
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`. The geodesic energy needs κ or β, because its normaliser is not
-        known; its gradient jumps on the cut locus, where draws stay exact and fewer are accepted.
-    integrator
-        ``"cayley"`` or ``"exp"``.
-    step
-        ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
+    integrator, step
+        ``"cayley"`` or ``"exp"``; ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
         2014), towards 80 % acceptance, and then frozen.
     length
         Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
@@ -61,6 +58,8 @@ class HMC(Sampler):
     ):
         checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
+        if length is not None and isinstance(self, MALA):
+            raise ValueError("length: 'mala' has no such option, its trajectories have one step")
         for name, size in (("step", step), ("length", length)):
             if size is not None:
                 checks.positive(name, size)
@@ -100,11 +99,9 @@ class HMC(Sampler):
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
         return self._c
 
     def energy(self) -> np.ndarray:
-        """(K,) energy of the observations, without the prior."""
         return self._observed
 
     def step(self, warmup: bool) -> None:
@@ -206,25 +203,10 @@ class MALA(HMC):
     r"""Metropolis-adjusted Langevin: Hamiltonian Monte Carlo whose trajectories have one step, 57 % accepted.
 
     The proposal is one step of ``"rlfm"`` with :math:`h\beta^{-1} = \varepsilon^2/2`, and the test takes off its bias.
-
-    Parameters
-    ----------
-    target, start, rng, integrator, step
-        As for ``"hmc"``.
+    Options are those of ``"hmc"`` but for ``length``, which is refused.
     """
 
     _target = 0.574
-
-    def __init__(
-        self,
-        target: Target,
-        start: np.ndarray,
-        rng: np.random.Generator,
-        *,
-        integrator: str = "cayley",
-        step: float | None = None,
-    ):
-        super().__init__(target, start, rng, integrator=integrator, step=step)
 
     def _n_steps(self, fraction: float) -> int:
         return 1

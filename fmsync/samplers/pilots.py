@@ -3,8 +3,6 @@
 Kept chains that started dispersed would weight modes by their starts, so the pilots only look.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fmsync import so
@@ -25,22 +23,6 @@ _VISITED = 0.01  # share of kept draws beyond the middle: they know that mode
 _NEGLIGIBLE = 10.0  # a mode whose log-density lies so far below has no weight
 
 
-@dataclass(frozen=True)
-class Unvisited:
-    """Pilots that settled where the kept chains have never been: how many, and the mean energies of both."""
-
-    n_pilots: int
-    energy: float
-    kept_energy: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.n_pilots} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode, at a "
-            f"mean energy of {self.energy:.4g} where these chains have {self.kept_energy:.4g}: the draws say nothing "
-            "about it; use method='tempered', which weighs the modes"
-        )
-
-
 def pilot_steps(n_chains: int, n_steps: int) -> int:
     """Steps of each pilot beside ``n_chains`` chains of ``n_steps``; 0 where the run is too short to look."""
     steps = int(_SHARE * n_chains * n_steps / N_PILOTS)
@@ -49,8 +31,8 @@ def pilot_steps(n_chains: int, n_steps: int) -> int:
 
 def unvisited_mode(
     target: Target, draws: np.ndarray, kappa: float, n_steps: int, rng: np.random.Generator
-) -> Unvisited | None:
-    """A mode that pilots of ``n_steps`` steps found and kept draws (K, T, N, n, n) did not.
+) -> str:
+    """What to say of a mode that pilots of ``n_steps`` steps found and kept draws (K, T, N, n, n) did not, or nothing.
 
     Six of eight start at Haar draws, two at kept draws that are perturbed; they run at the concentration of the kept
     draws. Where a pilot was in its third quarter, and the kept draws in their first half, gives the direction in which
@@ -82,8 +64,12 @@ def unvisited_mode(
     elsewhere = np.array([_apart((seen[:quarter, k], seen[quarter:, k]), known) for k in range(N_PILOTS)])
     found = elsewhere & ~moving & ~lost
     if not found.any():
-        return None
-    return Unvisited(int(found.sum()), float(last.mean(0)[found].min()), float(at_home.mean()))
+        return ""
+    return (
+        f"{found.sum()} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode, at a mean "
+        f"energy of {last.mean(0)[found].min():.4g} where these chains have {at_home.mean():.4g}: the draws say "
+        "nothing about it; use method='tempered', which weighs the modes"
+    )
 
 
 def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:

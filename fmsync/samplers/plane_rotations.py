@@ -72,32 +72,17 @@ def sweep(
     states: np.ndarray,
     gains: np.ndarray,
 ) -> None:
-    r"""Visit nodes of every chain: each is over-relaxed some times, then drawn by the heat bath.
+    r"""Visit ``nodes`` of every chain in order: each is over-relaxed some times, then drawn by the heat bath.
 
     Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
     :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises. Over-relaxation takes θ to
     twice the angle of the mode, which leaves the density as it is.
 
-    Parameters
-    ----------
-    x
-        (K, N, n, n) transposed absolute maps, changed in place.
-    blocks, start, other
-        From :func:`node_blocks`, (K, 2E n²) or, where all chains read the same, (1, 2E n²), and from the incidence.
-    field
-        (N, n, n) transposed linear terms of a prior, or (0, n, n): :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`.
-    kappa
-        (K,) concentration of the observations.
-    over_relaxations
-        Reflections of every pair of columns before the draw.
-    planes
-        From :func:`rounds`.
-    nodes
-        Nodes to visit, in this order.
-    states
-        (K, N, 4, 8) generators, one a node.
-    gains
-        (K, N): at every node visited, the change of :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
+    Transposed maps x (K, N, n, n) change in place. ``blocks`` of :func:`node_blocks` are (K, 2E n²) or, where all
+    chains read the same, (1, 2E n²); ``field`` (N, n, n), or (0, n, n), are transposed linear terms of a prior,
+    :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`; ``kappa`` (K,), ``planes`` of :func:`rounds`, ``states``
+    (K, N, 4, 8) generators. ``gains`` (K, N) gets at every node visited the change of
+    :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
     """
     n = x.shape[-1]
     largest = 0

@@ -21,7 +21,7 @@ from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
 from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
 
-Work = Callable[[int, int], None]  # on chains first .. last
+Pool = Callable[[Callable[[int, int], None], int], None]  # calls work on chains first .. last, of so many
 
 LEAST_SIGMA2, LARGEST_SIGMA2 = 1e-5, 10.0
 _SIGMA2_ROUNDS = 8  # alternations of σ² and the common scale, which cost nothing beside the rest
@@ -48,14 +48,7 @@ class PolarFactors:
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
-    def step(
-        self,
-        x: np.ndarray,
-        states: np.ndarray,
-        infer: bool,
-        over_chains: Callable[[Work, int], None],
-        powers: np.ndarray,
-    ) -> None:
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Pool, powers: np.ndarray) -> None:
         """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks.
 
         The coupling of maps and observations, tr(Mᵀ C_iᵀ C_j)/σ², is multiplied by ``powers`` (K,).
@@ -64,13 +57,12 @@ class PolarFactors:
         start, edge, _, forward = p.incidence
         self._age += 1
         parity = self._age % 2
-        planes = self._halves[parity]
 
         def some(first: int, last: int) -> None:
             own = slice(first, last)
             polar_factor_step(
                 x[own], self._vectors[own], self._values[own], self.sigma2[own], powers[own], self.blocks[own],
-                states[own], p.edges, p.maps, planes, parity, infer, start, edge, forward,
+                states[own], p.edges, p.maps, self._halves[parity], parity, infer, start, edge, forward,
             )  # fmt: skip
 
         over_chains(some, len(x))

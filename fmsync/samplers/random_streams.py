@@ -92,21 +92,9 @@ def von_mises_halves(
     at least 77 % of the proposals pass. The first proposals for all k are vector code, those that fail are redone one
     by one.
 
-    Parameters
-    ----------
-    k, cosine, sine, spare
-        (M,); ``k`` is read, the others written.
-    m
-        How many of the M are wanted; those after it fill vectors and are proposals only.
-    state
-        (4, 8) generator.
-    pool, at
-        (POOL,) stock of uniform numbers and the place of the next; POOL when there is none.
-
-    Returns
-    -------
-    int
-        Place of the next number in the stock.
+    Of the (M,) arrays ``k`` is read, the others are written; entries from number m on fill vectors and are proposals
+    only. ``pool`` (POOL,) is a stock of uniform numbers and ``at`` the place of the next, POOL when there is none;
+    returns the new place.
     """
     count = len(k)
     if at + 2 * count > len(pool):

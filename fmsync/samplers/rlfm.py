@@ -25,8 +25,6 @@ class RLFM(Sampler):
 
     Parameters
     ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`.
     retraction
         R: ``"exp"``, along geodesics, or ``"qf"``, the Q factor of C + V.
     constrained
@@ -82,20 +80,16 @@ class RLFM(Sampler):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Choices, the step and β."""
         return self._choices | {"constrained": self._constrained, "step": float(self._h), "beta": self._beta}
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n); rotations unless the chain is unconstrained."""
         return self._c[:, : self._n_kept]
 
     def draw(self) -> np.ndarray:
-        """(K, N, n, n) rotations: the state, projected where the chain is unconstrained."""
         return self.state if self._constrained else so.project(self.state)
 
     def energy(self) -> np.ndarray:
-        """(K,) potential U of the state, with the prior's part."""
         if not self._constrained:
             return unconstrained_energy(self._problem, self._c)
         if not self._euclidean:

@@ -49,18 +49,11 @@ def sample(
 
     Parameters
     ----------
-    problem
-        What was observed.
     method
         A name of :func:`fmsync.samplers.methods`.
-    rng
-        Seed or generator: same seed, same draws.
-    n_chains, n_draws
-        Chains, run as one batch, and the draws kept of each.
-    warmup
-        Steps thrown away before the first draw.
-    thin
-        Steps from one draw to the next.
+    n_chains, n_draws, warmup, thin, rng
+        Chains, draws kept of each, steps before the first draw, steps from one draw to the next, and a seed or
+        generator: same seed, same draws.
     init
         Where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``, every other
         chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for all chains,
@@ -85,10 +78,7 @@ def sample(
     options
         Passed to the sampler; an unknown option is refused with the list of known ones.
 
-    Returns
-    -------
-    Posterior
-        With fewer draws and ``interrupted`` set after Ctrl-C (which goes through if there is no draw yet).
+    After Ctrl-C the posterior has fewer draws and ``interrupted`` set (without any draw it goes through).
 
     Examples
     --------
@@ -111,7 +101,7 @@ def sample(
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
         looks = n_steps and method != "tempered" and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
-            said = str(unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0]) or "")
+            said = unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
             warnings.warn(said, ConvergenceWarning, stacklevel=2)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}

@@ -22,16 +22,9 @@ class Tempered(Sampler):
     2022). The coldest replica is the draw. Under projected noise L is the coupling of maps and observations alone, so
     that the latent polar factors have a proper distribution at every temperature.
 
-    Parameters
-    ----------
-    target, start, rng
-        As for every :class:`~fmsync.samplers.Sampler`; every replica begins at the start of its chain.
-    base
-        ``"heat-bath"``, ``"hmc"`` or ``"mala"``.
-    n_temperatures
-        Replicas R >= 2 of a chain. Take more when ``settings["swap_acceptance"]`` falls below 0.2.
-    hottest
-        Inverse temperature of the hottest replica, in (0, 1); by default 1e-3, nearly uniform maps.
+    The ``base`` is ``"heat-bath"``, ``"hmc"`` or ``"mala"``. Take more replicas R, ``n_temperatures`` >= 2, when
+    ``settings["swap_acceptance"]`` falls below 0.2. ``hottest`` is the inverse temperature of the hottest replica, in
+    (0, 1); by default 1e-3, nearly uniform maps.
     """
 
     def __init__(
@@ -71,16 +64,13 @@ class Tempered(Sampler):
 
     @property
     def kappa(self) -> np.ndarray:  # type: ignore[override]
-        """(K,) concentrations of the coldest replicas."""
         return self._replicas.kappa[self._cold()]
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations of the coldest replicas."""
         return self._replicas.state[self._cold()]
 
     def energy(self) -> np.ndarray:
-        """(K,) energy of the coldest replicas."""
         return self._replicas.energy()[self._cold()]
 
     def step(self, warmup: bool) -> None:

@@ -184,6 +184,11 @@ def test_bad_options_are_named(options, message):
         fmsync.sample(noisy(), "hmc", **options)
 
 
+def test_a_length_is_refused_by_mala():
+    with pytest.raises(ValueError, match="length: 'mala' has no such option"):
+        fmsync.sample(noisy(), "mala", length=0.3)
+
+
 @pytest.mark.parametrize(
     ("method", "options"),
     [("hmc", {"step": 0.35}), ("hmc", {}), ("mala", {"step": 0.5}), ("mala", {}), ("heat-bath", {})],

@@ -5,7 +5,7 @@ import pytest
 
 import data_gen
 import fmsync
-from fmsync import so
+from fmsync import calibration, so
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +29,18 @@ def test_mean_and_balls_against_their_definitions(post):
     for level in (0.5, 0.9):
         centre, radius = post.credible_balls(level, pairs)
         np.testing.assert_allclose(centre, mean, atol=1e-12)
-        np.testing.assert_allclose(radius, np.quantile(distance, level, axis=0))
+        np.testing.assert_allclose(radius, np.sort(distance, axis=0)[int(np.floor(level * len(draws)))])
     with pytest.raises(ValueError, match="level"):
         post.credible_balls(1.0)
+
+
+@pytest.mark.parametrize("level", np.arange(1, 20) / 20)
+def test_a_ball_covers_exactly_the_truths_whose_level_it_reaches(problem, level):
+    post = fmsync.sample(problem, "heat-bath", kappa=6.0, n_chains=1, n_draws=20, warmup=20, rng=5)
+    draws = post.relative(problem.edges[:1])[0, :, 0]
+    centre, radius = post.credible_balls(level, problem.edges[:1])
+    truths = draws.mean(axis=0) + np.linspace(0, 4, 400)[:, None, None] * np.eye(3) / np.sqrt(3)
+    covered = np.linalg.norm(truths - centre, axis=(1, 2)) <= radius
+    levels = np.array([calibration.ball_level(draws, truth) for truth in truths])
+    np.testing.assert_array_equal(covered, levels <= level)
+    assert 0 < covered.sum() < 400
