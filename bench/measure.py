@@ -16,8 +16,10 @@ _LARGEST_POINT_ERROR = 0.25
 
 
 def method_rng(seed: int) -> np.random.Generator:
-    """The generator of a method. Problem generators draw from streams named by the seed and small numbers; a method
-    that drew from one of those would start at the truth.
+    """The generator of a method.
+
+    Problem generators draw from streams named by the seed and small numbers; a method that drew from one of those would
+    start at the truth.
     """
     return np.random.default_rng([seed, 0x6D6574686F64])
 

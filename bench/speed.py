@@ -41,11 +41,13 @@ def logarithms() -> Ways:
 
 
 def exponentials() -> Ways:
+    """Exponentials of eleven shapes in ten directions."""
     tangents = so.skew(np.random.default_rng(0).standard_normal((110, 20, 20)))
     return partial(so.exp, tangents), partial(scipy.linalg.expm, tangents)
 
 
 def projections() -> Ways:
+    """Nearest rotations of as many matrices."""
     matrices = np.random.default_rng(0).standard_normal((110, 20, 20))
     return partial(so.project, matrices), lambda: [scipy.linalg.polar(a)[0] for a in matrices]
 
@@ -78,6 +80,7 @@ def maximum_likelihood(sigma2: float, derivatives: str) -> Ways:
 
 
 def eigenvectors(n_nodes: int) -> Ways:
+    """The spectral estimate, and SciPy on the dense matrix."""
     problem, dense = paper_size(0.2, n_nodes), methods.get("scipy-eigh").function
     return partial(afresh, fmsync.solve, problem, "spectral"), partial(afresh, dense, problem, rng=None)
 

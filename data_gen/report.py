@@ -55,7 +55,7 @@ def collection_report(
 
 
 def edge_distortion(shapes: Sequence[Shape]) -> np.ndarray:
-    """Mean \\|log edge-length ratio\\| of every pair of shapes, each scaled to unit area: 0 for isometric ones.
+    r"""Mean \|log edge-length ratio\| of every pair of shapes, each scaled to unit area: 0 for isometric ones.
 
     Returns
     -------

@@ -44,6 +44,7 @@ def cycle_error_of(problem, *, fixed: bool) -> float:
 
 
 def shape_network(problem, fixed: bool):
+    """The problem as pyFM sees it."""
     network_class = require("pyFM.FMN", "bench").FMN
 
     class RightOrder(network_class):
@@ -63,6 +64,7 @@ def shape_network(problem, fixed: bool):
 
 
 def has_cycles(network) -> bool:
+    """Whether pyFM finds a 3-cycle to be consistent about."""
     network.extract_3_cycles()
     network.compute_Amat()
     return bool(network.cycles)

@@ -145,9 +145,9 @@ def solve_rectangular(
 
 
 class Frames:
-    """The energy on St(m, n_1) x ... x St(m, n_N), padded to (N, m, k): what the trust regions ask of a model.
+    r"""The energy on St(m, n_1) x ... x St(m, n_N), padded to (N, m, k): what the trust regions ask of a model.
 
-    Tangent arrays are ambient: V with :math:`C_i^\\top V_i` skew-symmetric and zero columns past n_i.
+    Tangent arrays are ambient: V with :math:`C_i^\top V_i` skew-symmetric and zero columns past n_i.
     """
 
     def __init__(self, problem: RectangularSyncProblem, m: int) -> None:

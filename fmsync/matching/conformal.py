@@ -36,9 +36,10 @@ class ConformalCalibration:
         return self.mean * known.uncertainty_score()
 
     def radius(self, known: Confidence, level: float | None = None) -> np.ndarray:
-        """Radii (S,) of regions that hold ``level``; left out, the level of ``known``. As wide as any symmetry."""
-        scale = self.scale(known.level if level is None else level)
-        return np.maximum(scale * known.uncertainty_score(), known.symmetry_radius)
+        """Radii (S,) of regions that hold ``level``, by default that of ``known``, from which on symmetry counts."""
+        level = known.level if level is None else level
+        radius = self.scale(level) * known.uncertainty_score()
+        return np.maximum(radius, known.symmetry_radius) if level >= known.level else radius
 
     def scale(self, level: float) -> float:
         """What scores are multiplied by; ValueError outside the levels it was fitted at."""

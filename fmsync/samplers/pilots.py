@@ -29,9 +29,7 @@ def pilot_steps(n_chains: int, n_steps: int) -> int:
     return steps if steps >= _LEAST_STEPS else 0
 
 
-def unvisited_mode(
-    target: Target, draws: np.ndarray, kappa: float, n_steps: int, rng: np.random.Generator
-) -> str:
+def unvisited_mode(target: Target, draws: np.ndarray, kappa: float, n_steps: int, rng: np.random.Generator) -> str:
     """What to say of a mode that pilots of ``n_steps`` steps found and kept draws (K, T, N, n, n) did not, or nothing.
 
     Six of eight start at Haar draws, two at kept draws that are perturbed; they run at the concentration of the kept
