@@ -29,7 +29,7 @@ def load_collection(
         variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
         TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
     count, n_vertices, seed, symmetric
-        Of the synthetic cats alone, see :func:`data_gen.cats.cats`.
+        Of the synthetic cats alone, see ``data_gen.cats.cats``.
 
     Raises
     ------

@@ -55,7 +55,7 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
     """The shape in a file, named after it; a point cloud if the file announces no faces.
 
     Polygons are cut into fans of triangles; normals, colours, texture coordinates and other elements are skipped. What
-    :func:`fmsync.mesh_repair.repaired` mends, such as corners at one place (all those of an STL), it warns of.
+    ``fmsync.mesh_repair.repaired`` mends, such as corners at one place (all those of an STL), it warns of.
 
     Reads ``.off``, ``.obj``, ``.ply``, ``.stl``, and ``.vert`` with a ``.tri`` of the same name beside it; ``manifold``
     refuses surfaces with faces without area or edges in more than two faces. A ValueError that says which file, where,
