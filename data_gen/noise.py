@@ -9,7 +9,7 @@ import scipy
 import fmsync
 from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
-from fmsync import SyncProblem, so
+from fmsync import SyncProblem, checks, so
 
 _VERSIONS = {
     "fmsync": fmsync.__version__,
@@ -101,28 +101,23 @@ def _observed(truth: GroundTruth, disturb: Callable, generator: np.random.Genera
 
 
 def _check(truth: GroundTruth, around: str, repeats: int, outliers: float, outlier_kind: str) -> None:
-    if around not in ("consistent", "measured"):
-        raise ValueError(f"around: 'consistent' or 'measured', not {around!r}")
-    if isinstance(repeats, bool) or int(repeats) != repeats or repeats < 1:
-        raise ValueError(f"repeats: need a whole number >= 1, got {repeats}")
+    checks.one_of("around", around, ("consistent", "measured"))
+    checks.count("repeats", repeats)
     if not 0 <= outliers < 1:
         raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
-    if outlier_kind not in ("haar", "flip"):
-        raise ValueError(f"outlier_kind: 'haar' or 'flip', not {outlier_kind!r}")
+    checks.one_of("outlier_kind", outlier_kind, ("haar", "flip"))
     if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
         raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
 
 
 def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:
     """The function (maps, generator) -> noisy maps."""
-    if noise not in ("projected-gaussian", "tangent-gaussian", "langevin"):
-        raise ValueError(f"noise: 'projected-gaussian', 'tangent-gaussian' or 'langevin', not {noise!r}")
+    checks.one_of("noise", noise, ("projected-gaussian", "tangent-gaussian", "langevin"))
     wanted, unwanted = ("kappa", "sigma2") if noise == "langevin" else ("sigma2", "kappa")
     level, other = (kappa, sigma2) if noise == "langevin" else (sigma2, kappa)
     if level is None or other is not None:
         raise ValueError(f"{wanted}: {noise} noise takes {wanted} and no {unwanted}")
-    if not (np.isfinite(level) and level >= 0):
-        raise ValueError(f"{wanted}: must be finite and >= 0, got {level}")
+    checks.not_negative(wanted, level)
     if noise == "langevin":
         return lambda maps, rng: maps @ langevin_noise(maps.shape[-1], level, len(maps), rng)
     if level == 0:

@@ -9,7 +9,7 @@ from data_gen.fingerprints import same_triangulation
 from data_gen.truth import fix_signs, measure_maps
 from fmsync import laplace_beltrami, so
 from fmsync.problem import cycle_error
-from fmsync.shape import Basis, Shape
+from fmsync.shape import Basis, Shape, edges_of_faces
 
 
 def collection_report(
@@ -76,12 +76,7 @@ def edge_distortion(shapes: Sequence[Shape]) -> np.ndarray:
     for shape in shapes[1:]:
         if same_triangulation(shapes[0], shape) is None:
             raise ValueError(f"{shape.name} and {shapes[0].name} differ in their triangles: edges cannot be compared")
-    ends = edges(shapes[0].faces)
+    ends = np.unique(edges_of_faces(shapes[0].faces), axis=0)
     scaled = [shape.normalised().vertices for shape in shapes]
     logs = [np.log(np.linalg.norm(v[ends[:, 0]] - v[ends[:, 1]], axis=1)) for v in scaled]
     return np.array([np.abs(a - b).mean() for a, b in combinations(logs, 2)])
-
-
-def edges(faces: np.ndarray) -> np.ndarray:
-    """Undirected edges (E, 2) of faces (F, 3), each once, smaller vertex first."""
-    return np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -92,8 +92,7 @@ class SyncedShapes:
 
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
-        if not 0 < level < 1:
-            raise ValueError(f"level: a probability strictly between 0 and 1, got {level}")
+        checks.probability("level", level)
         first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
         with single_threaded_blas():
             image = self.sample_images(i, j)

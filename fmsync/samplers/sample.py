@@ -62,11 +62,11 @@ def sample(
         Langevin prior on the absolute maps; it fixes the gauge.
     kappa, beta
         Concentration of the observations, one of the two: κ = 2β, and β = 1, as in the paper, where neither is given.
-        ``"heat-bath"``, and ``"hmc"`` and ``"mala"`` with the Euclidean energy, infer κ instead, under a uniform prior
-        on [0, 1e5], when it is ``"auto"`` or neither is given.
+        ``"heat-bath"``, ``"tempered"``, and ``"hmc"`` and ``"mala"`` with the Euclidean energy, infer κ instead, under
+        a uniform prior on [0, 1e5], when it is ``"auto"`` or neither is given.
     likelihood
         ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`, weights are
-        multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` alone:
+        multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` and tempered heat baths:
         :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
         :math:`\log\sigma^2` uniform on [log 1e-5, log 10].
     energy
