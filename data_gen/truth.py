@@ -5,16 +5,20 @@ vertex order and projected to SO(n); absolute maps multiplied along a spanning t
 the protocol because measured maps are not exactly consistent: another tree gives another truth.
 """
 
+import hashlib
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import networkx as nx
 import numpy as np
 
+import fmsync.shape
+from data_gen.cache import cached, checksum
 from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
-from fmsync import functional_map, laplace_beltrami, so
+from fmsync import block_krylov, functional_map, laplace_beltrami, so
 from fmsync.problem import relative_maps
 from fmsync.shape import Basis, Shape
 
@@ -89,7 +93,8 @@ def ground_truth(
     graph
         Connected graph on nodes 0..N-1.
     n_basis, bases
-        Number n of Laplace–Beltrami eigenfunctions, and bases computed before, of at least as many, to save time.
+        Number n of Laplace–Beltrami eigenfunctions, and bases of at least as many to be used instead of one's own
+        computed here, which stay in the cache of this machine.
     tree
         ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
         least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the
@@ -116,7 +121,7 @@ def ground_truth(
     if point_maps is None:
         require_common_order(shapes)
     if bases is None:
-        bases = [laplace_beltrami(shape.vertices, shape.faces, n_basis) for shape in shapes]
+        bases = [_basis(shape, n_basis) for shape in shapes]
     bases = fix_signs([basis.truncated(n_basis) for basis in bases], point_maps)
     raw = measure_maps(bases, edges, point_maps)
     measured = so.project(raw)
@@ -137,6 +142,14 @@ def ground_truth(
         u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], flip))
         mirror = u @ vt
     return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
+
+
+def _basis(shape: Shape, n_basis: int) -> Basis:
+    """From the cache where the same functions were computed of the same mesh before."""
+    mesh = {"vertices": shape.vertices} | ({} if shape.faces is None else {"faces": shape.faces})
+    code = "".join(inspect.getsource(module) for module in (fmsync.shape, block_krylov))
+    key = f"basis-{n_basis}-{checksum(mesh)[:24]}-{hashlib.sha256(code.encode()).hexdigest()[:12]}"
+    return Basis(**cached(key, lambda: vars(laplace_beltrami(shape.vertices, shape.faces, n_basis))))
 
 
 def measure_maps(

@@ -5,10 +5,12 @@ before memory is taken, every number must be one, and a refusal names the line. 
 ground truth of a collection; :mod:`fmsync.mesh_repair` then examines the mesh.
 """
 
+import gc
 import math
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -68,7 +70,8 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
             raise ValueError(f"unknown format {path.suffix!r}; convert it to one of {', '.join(SUFFIXES)}")
         if path.stat().st_size == 0:
             raise ValueError(f"the file is empty: {_AGAIN}")
-        vertices, faces = readers[path.suffix.lower()](path)
+        with _collector_paused():
+            vertices, faces = readers[path.suffix.lower()](path)
         finite = np.isfinite(vertices).all(axis=1)
         if not finite.all():
             raise ValueError(f"vertex {finite.argmin()} is not finite ({(~finite).sum()} such): {_AGAIN}")
@@ -79,6 +82,18 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
         return Shape(vertices, faces, path.stem)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+@contextmanager
+def _collector_paused() -> Iterator[None]:
+    """No search for cycles among a million words that are made at once: it takes as long as reading them."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _existing(path: Path) -> Path:

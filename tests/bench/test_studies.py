@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import data_gen
-from bench import calibration_coverage, speed, studies
+from bench import calibration_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
 from bench.own_shapes import confidence, evaluation, stages
 
@@ -36,38 +36,6 @@ def test_a_part_is_added_to_a_file_and_the_others_stay(tmp_path):
     assert found["one"].items() >= {"a": 3, "command": "third"}.items()
     assert found["two"]["b"] == 2
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_seconds_are_of_a_unit_of_work():
-    def busy():
-        return sum(range(300_000))
-
-    once, twice, ratio = studies.compare(busy, busy, runs=3, work=lambda result: 2.0)
-    assert once > 0
-    assert twice > 0
-    assert 0.2 < ratio < 5
-
-
-def test_speed_prints_a_line_for_each_pair_that_is_asked_for(capsys):
-    speed.main(["exp of", "nearest", "--runs", "1"])
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["ours", "exp", "nearest"]
-    assert all(line.endswith("x") for line in lines[1:])
-
-
-@pytest.mark.filterwarnings("ignore::fmsync.diagnostics.ConvergenceWarning")
-def test_both_ways_of_a_pair_have_the_same_result():
-    for ours, peer in (speed.exponentials(), speed.projections()):
-        a, b = ours(), np.array(peer())
-        same = np.linalg.det(b) > 0  # SciPy's polar factor may be a reflection
-        np.testing.assert_allclose(a[same], b[same], atol=1e-8)
-    ours, peer = speed.maximum_likelihood(0.2, "hand")
-    assert abs(ours().cost - peer().cost) < 1e-6
-    ours, peer = speed.eigenvectors(5)
-    pairs = np.array([[0, 1], [2, 4]])
-    np.testing.assert_allclose(ours().relative(pairs), peer().relative(pairs), atol=1e-6)
-    ours, _ = speed.draws("heat-bath", "hmc", n_draws=8, warmup=4)
-    assert speed.effective(ours()) > 1
 
 
 def test_coverage_runs_what_is_missing_and_goes_on(tmp_path, monkeypatch):

@@ -59,6 +59,21 @@ def test_shapes_give_rotations_in_the_gauge_of_the_first(truth):
     assert len(truth.bases) == 4
 
 
+def test_bases_come_from_the_cache_the_second_time(shapes, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    pair = nx.path_graph(2)
+    made = data_gen.ground_truth(shapes[:2], pair, n_basis=6)
+    monkeypatch.setattr("data_gen.truth.laplace_beltrami", None)
+    again = data_gen.ground_truth(shapes[:2], pair, n_basis=6)
+    for first, second in zip(made.bases, again.bases):
+        assert (first.eigenfunctions == second.eigenfunctions).all()
+        assert (first.mass == second.mass).all()
+    with pytest.raises(TypeError):  # other functions, other meshes: computed
+        data_gen.ground_truth(shapes[:2], pair, n_basis=7)
+    with pytest.raises(TypeError):
+        data_gen.ground_truth(shapes[1:3], pair, n_basis=6)
+
+
 def test_fixing_signs_repairs_determinants_however_they_came(shapes, truth):
     flipped = [basis.with_flipped(3) if k % 2 else basis for k, basis in enumerate(truth.bases)]
     raw = data_gen.measure_maps(flipped, truth.edges)
