@@ -30,7 +30,8 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     weight /= weight.sum()
 
     count, repeats = 500, 40
-    values, blocks, states = np.empty((repeats, count, 4)), np.empty((1, 8)), generator()[None]
+    factors, read, states = np.empty((repeats, count, 2, 2)), np.empty((repeats, count, 2, 2)), generator()[None]
+    blocks = np.empty((1, 8))
     vectors, eigenvalues = np.eye(2)[None, None].copy(), np.array([[[1.2, 0.7]]])
     for r in range(repeats):
         for t in range(count):
@@ -38,11 +39,12 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
                 x, vectors, eigenvalues, np.array([sigma2]), np.ones(1), blocks, states, np.array([[0, 1]]), observed,
                 plane_rotations.rounds(2), t % 2, False, start, edge, forward,
             )  # fmt: skip
-            p = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
-            values[r, t] = p[0, 0], p[1, 1], p[0, 1], p[0, 0] * p[1, 1]
-            np.testing.assert_allclose(blocks[0, :4].reshape(2, 2), observed[0] @ p, atol=1e-12)  # as node 0 reads it
-    for k, grid in enumerate((a, b, c, a * b)):
-        mean, error = mean_and_error(values[..., k])
+            factors[r, t] = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
+            read[r, t] = blocks[0, :4].reshape(2, 2)  # by node 0
+    np.testing.assert_allclose(read, observed[0] @ factors, atol=1e-12)
+    diagonal = factors[..., 0, 0], factors[..., 1, 1]
+    for values, grid in zip((*diagonal, factors[..., 0, 1], diagonal[0] * diagonal[1]), (a, b, c, a * b)):
+        mean, error = mean_and_error(values)
         assert abs(mean - (weight * grid).sum()) < 4.5 * error
         assert error < 0.05 * np.sqrt(sigma2) + 0.01
 
