@@ -64,15 +64,23 @@ def worlds_table(told: dict) -> list[str]:
     >>> lines = worlds_table({"worlds": ["native +7"], "machine": "m", "shapes": "s", "command": "c", "chapters":
     ...     {"05_oracle": {"closest": "a < b", "margin": 5.2, "failures": [["a < b: 3 and 2"]]}}})
     >>> print(lines[2])
-    | {doc}`/chapters/05_oracle` | `a < b: 3 and 2` | 5.2: `a < b` |
+    | {doc}`/chapters/05_oracle` | ✗ | 5.2 |
+    >>> print(lines[-2])
+    - {doc}`/chapters/05_oracle`: in world 1 `a < b: 3 and 2` failed; closest `a < b`
     """
-    titles = ["chapter", *told["worlds"], "closest claim"]
+    titles = ["chapter", *map(str, range(1, len(told["worlds"]) + 1)), "margin"]
     lines = [f"| {' | '.join(titles)} |", "|" + " --- |" * len(titles)]
+    notes = []
     for chapter, row in told["chapters"].items():
-        cells = [_code("; ".join(failed)) if failed else "held" for failed in row["failures"]]
-        near = f"{row['margin']:.1f}: {_code(row['closest'])}" if row["closest"] else "–"
-        lines.append(f"| {{doc}}`/chapters/{chapter}` | {' | '.join(cells)} | {near} |")
-    return [*lines, "", f"Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."]
+        name = f"{{doc}}`/chapters/{chapter}`"
+        cells = ["✗" if failed else "✓" for failed in row["failures"]]
+        lines.append(f"| {name} | {' | '.join(cells)} | {row['margin'] or 0:.1f} |")
+        said = [f"in world {k} {_code('; '.join(f))} failed" for k, f in enumerate(row["failures"], 1) if f]
+        said.append(f"closest {_code(row['closest'] or 'none')}")
+        notes.append(f"- {name}: {'; '.join(said)}")
+    worlds = ", ".join(f"{k} {world}" for k, world in enumerate(told["worlds"], 1))
+    made = f"Worlds: {worlds}. Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."
+    return [*lines, "", made, "", *notes, ""]
 
 
 def _code(text: str) -> str:
