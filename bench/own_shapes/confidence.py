@@ -53,7 +53,7 @@ def collections(loaded: dict[str, list[Shape]], **options) -> dict:
         coverage["as shipped"] = o.covered(default_calibration())
         elsewhere = next((r for other, r in fitted.items() if other != name), default_calibration())
         found[name] = stages(o.synced, o.evaluation, peers=k == 0)  # peers take most of the time
-        found[name] |= {"coverage": coverage, "selective": risk_coverage(o, elsewhere)}
+        found[name] |= {"coverage": coverage, "risk_coverage": risk_coverage(o, elsewhere)}
     return found
 
 
