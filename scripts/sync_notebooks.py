@@ -1,12 +1,14 @@
 """Write book/notebooks/*.ipynb, without outputs, from the MyST chapters; --check fails if any differs.
 
-One direction only: the chapters are the source. Cell ids are stable, and prose directives, which Jupyter does not
-render, become plain Markdown that reads well there.
+One direction only: the chapters are the source. Cell ids are stable. What Jupyter does not render becomes plain
+Markdown that reads well there: directives and roles, links to other chapters (their titles) and to publications (author
+and year). A first cell says how to install, and defines the macros of the formulas.
 """
 
 import argparse
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import jupytext
@@ -25,7 +27,11 @@ if "google.colab" in sys.modules:
     sys.path.insert(0, "/content/project")"""
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
-_ROLES = re.compile(r"\{(?:doc|ref|prf:ref|numref|eq|cite[\w:]*|term)\}`(?:([^`<]+?)\s*<[^`>]+>|([^`]+))`")
+_ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
+_FIRST = """*A chapter of the fmsync book. To run it in any folder, install the project once from its checkout:*
+`pip install -e "PATH/TO/fmsync[bench]"`
+
+{macros}"""
 
 
 def chapters(book: Path = BOOK) -> dict[str, Path]:
@@ -42,7 +48,9 @@ def readable(text: str) -> str:
     >>> readable("(here)=\\n# A title")
     '# A title'
     >>> readable("See {eq}`eq-geo` and {doc}`the next chapter <02_so_n>`.")
-    'See (eq-geo) and the next chapter.'
+    'See (geo) and the next chapter.'
+    >>> readable("{py:func}`~fmsync.so.log`, {math}`n`, {doc}`02_so_n`, {cite}`boumal2014cramer`")
+    '`so.log`, $n$, *The geometry of SO(n)*, Boumal et al. (2014)'
     """
     out, open_fences, in_options = [], [], False
     for line in text.split("\n"):
@@ -55,7 +63,7 @@ def readable(text: str) -> str:
             in_options = False
         elif not (in_options and _OPTION.match(line)) and not re.fullmatch(r"\([\w:-]+\)=", line.strip()):
             in_options = False
-            out.append(re.sub(r"^\$\$ \([\w:-]+\)$", "$$", line))
+            out.append(re.sub(r"^\$\$ \((?:eq-)?([\w:-]+)\)$", r"\\tag{\1}\n$$", line))
     return _ROLES.sub(_plain, "\n".join(out)).strip("\n")
 
 
@@ -68,8 +76,52 @@ def _heading(directive: str, title: str) -> list[str]:
     return [f"**{name} ({title}).**" if title else f"**{name}.**", ""]
 
 
-def _plain(role: re.Match) -> str:
-    return role[1] or (f"({role[2]})" if role[0].startswith("{eq}") else role[2])
+def _plain(found: re.Match) -> str:
+    role, text, target = found["role"], found["text"], found["target"]
+    if text or role in ("term", "ref", "prf:ref", "numref"):
+        return text or target
+    if role == "math":
+        return f"${target}$"
+    if role == "eq":
+        return f"({target.removeprefix('eq-')})"
+    if role == "doc":
+        return f"*{_titles()[target.rpartition('/')[2]]}*"
+    if role.startswith("cite"):
+        return ", ".join(_publications()[key.strip()] for key in target.split(","))
+    return f"`{'.'.join(target[1:].split('.')[-2:]) if target[0] == '~' else target}`"  # of the library
+
+
+@cache
+def _titles() -> dict[str, str]:
+    pages = {md.stem: re.search(r"^# (.+)$", md.read_text(encoding="utf-8"), re.MULTILINE) for md in BOOK.rglob("*.md")}
+    return {
+        name: _ROLES.sub(lambda found: found["text"] or found["target"], head[1])
+        for name, head in pages.items()
+        if head
+    }
+
+
+@cache
+def _publications() -> dict[str, str]:
+    entries = re.split(r"^@\w+\{", (BOOK / "references.bib").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    found = {}
+    for entry in entries:
+        fields = dict(re.findall(r"^ *(author|year) = \{(.+?)\},?$", entry, re.MULTILINE))
+        first, _, others = fields["author"].partition(" and ")
+        year = f" ({fields['year']})" if "year" in fields else ""
+        found[entry.partition(",")[0]] = f"{first.partition(',')[0]}{' et al.' if others else ''}{year}"
+    return found
+
+
+def _macros() -> str:
+    """Definitions that MathJax keeps for all cells."""
+    config = yaml.safe_load((ROOT / "_config.yml").read_text(encoding="utf-8"))
+    macros = config["sphinx"]["config"]["mathjax3_config"]["tex"]["macros"]
+    found = []
+    for name, value in macros.items():
+        body, count = value if isinstance(value, list) else (value, 0)
+        found.append(f"\\renewcommand{{\\{name}}}[{count}]{{{body}}}")
+    return f"${''.join(found)}$"
 
 
 def repository() -> dict[str, str]:
@@ -80,6 +132,7 @@ def repository() -> dict[str, str]:
 def render(md: Path) -> str:
     """The notebook of one chapter as the text of its .ipynb file."""
     notebook, home = jupytext.read(md), repository()
+    notebook.cells.insert(0, nbformat.v4.new_markdown_cell(_FIRST.format(macros=_macros())))
     if home["url"]:
         notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
@@ -88,6 +141,8 @@ def render(md: Path) -> str:
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
             cell["outputs"], cell["execution_count"] = [], None
+            if "hide-input" in cell["metadata"].get("tags", ()):
+                cell["metadata"]["jupyter"] = {"source_hidden": True}
         else:
             cell["source"] = readable(cell["source"])
     notebook.nbformat, notebook.nbformat_minor = 4, 5
@@ -104,11 +159,12 @@ def stale(book: Path = BOOK) -> list[str]:
 
 def write(book: Path = BOOK) -> None:
     """Make the notebooks equal to the chapters."""
+    wanted = {name: render(md) for name, md in chapters(book).items()}
     (book / "notebooks").mkdir(exist_ok=True)
     for old in (book / "notebooks").glob("*.ipynb"):
         old.unlink()
-    for name, md in chapters(book).items():
-        (book / "notebooks" / name).write_text(render(md), encoding="utf-8")
+    for name, text in wanted.items():
+        (book / "notebooks" / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

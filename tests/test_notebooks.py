@@ -1,6 +1,7 @@
 """The generated notebooks equal their chapters, and the generator notices when they do not."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import nbformat
@@ -61,6 +62,12 @@ def test_committed_notebooks_equal_their_chapters():
     assert sync.stale() == []
 
 
+def test_no_role_is_left_in_the_committed_notebooks():
+    for path in (ROOT / "book" / "notebooks").glob("*.ipynb"):
+        prose = "\n".join(c.source for c in nbformat.read(path, as_version=4).cells if c.cell_type == "markdown")
+        assert not re.search(r"\{[a-z:]+\}`", prose), path
+
+
 def test_an_edited_missing_or_orphaned_notebook_is_stale(book):
     notebook = book / "notebooks" / "01_one.ipynb"
     assert sync.stale(book) == []
@@ -81,6 +88,7 @@ def test_notebook_has_stable_ids_no_outputs_and_the_tags(book):
     (code,) = [c for c in notebook.cells if c.cell_type == "code"]
     assert code.outputs == []
     assert code.metadata.tags == ["hide-input"]
+    assert code.metadata.jupyter.source_hidden
 
 
 def test_prose_reads_well_without_myst(book):
@@ -88,6 +96,8 @@ def test_prose_reads_well_without_myst(book):
     prose = "\n".join(c.source for c in notebook.cells if c.cell_type == "markdown")
     assert "**Theorem (Nearest rotation).**" in prose
     assert "**You will learn.**" in prose
-    assert "as in (eq-svd)" in prose
+    assert "as in (svd)" in prose
+    assert "\\tag{svd}\n$$" in prose
+    assert r"\renewcommand{\SO}[1]" in notebook.cells[0].source
     for leftover in (":::", ":label:", ":class:", "{prf:", "(ch-one)=", "$$ ("):
         assert leftover not in prose
