@@ -59,11 +59,15 @@ def write(frame: pd.DataFrame, path: str | Path) -> None:
 
 
 def read(path: str | Path) -> pd.DataFrame:
-    """Read what :func:`write` wrote; a ValueError tells how to make a file that is missing."""
+    """Read what :func:`write` wrote; a ValueError tells how to make a file that is missing or damaged."""
     path = Path(path)
+    make = f"make them with 'python -m bench run {path.stem}'"
     if not path.is_file():
-        raise ValueError(f"{path}: no results there; make them with 'python -m bench run {path.stem}'")
-    frame = pd.read_parquet(path)
+        raise ValueError(f"{path}: no results there; {make}")
+    try:
+        frame = pd.read_parquet(path)
+    except Exception as error:  # whatever pyarrow and pandas raise of a damaged file
+        raise ValueError(f"{path}: cannot be read ({type(error).__name__}); {make} or restore the file") from error
     return frame.astype({name: object for name in frame.columns if frame[name].dtype == "category"})
 
 

@@ -8,6 +8,7 @@ to ``tests/broken``, where ``tests/test_broken.py`` reads it ever after. Exit st
 import argparse
 import contextlib
 import multiprocessing
+import os
 import resource
 import signal
 import sys
@@ -20,6 +21,8 @@ from pathlib import Path
 import numpy as np
 
 import fmsync
+from bench import results
+from data_gen.cache import arithmetic, cached, checksum
 from fmsync.matching import ConformalCalibration
 from fmsync.mesh_io import read_shape
 
@@ -28,6 +31,23 @@ SECONDS, MEGABYTES = 2, 1024
 NUMBERS = [b"nan", b"inf", b"-1", b"1e400", b"3e8", b"1,5", b"0x1", b"null", b"999999999999", b"", b"2147483648", b"-0"]
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]])
 CORNERS = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+
+
+def read_tri(path: Path) -> object:
+    """The triangles of a good ``.vert``."""
+    path.with_suffix(".vert").write_text("".join(f"{x} {y} {z}\n" for x, y, z in SQUARE))
+    return read_shape(path.with_suffix(".vert"))
+
+
+def read_cache(path: Path) -> None:
+    """A damaged entry of the cache is built again, whatever it holds."""
+    os.environ["XDG_CACHE_HOME"] = str(path.parent)
+    entry = path.parent / "fmsync" / arithmetic() / "mutant.npz"
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    entry.write_bytes(path.read_bytes())
+    found = cached("mutant", lambda: {"x": np.arange(40.0)})
+    if (found["x"] != np.arange(40)).any():
+        raise RuntimeError("damaged numbers came out of the cache")
 
 
 def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
@@ -52,6 +72,13 @@ def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
         fmsync.save_problem(fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], maps), problem)
         ConformalCalibration("x", 1.0, (0.5, 0.9), (1.0, 2.0)).save(calibration)
         packed, written = problem.read_bytes(), calibration.read_bytes()
+        entry, table = Path(folder) / "e.npz", Path(folder) / "t.parquet"
+        numbers = {"x": np.arange(40.0)}
+        np.savez(entry, checksum=np.array(checksum(numbers)), **numbers)
+        run = {"generator": "g", "problem": {"n": 3}, "seed": 0, "label": "a", "method": "a", "options": {}}
+        run |= {"status": "ok", "metrics": [["error", None, 0.5]], "commit": "c", "machine": "m", "versions": "v"}
+        results.write(results.to_frame("s", [run, run | {"seed": 1}]), table)
+        kept, tabled = entry.read_bytes(), table.read_bytes()
     return {
         ".off": (read_shape, [f"OFF\n5 6 0\n{points}{faces}".encode(), f"COFF 5 6 0\n# c\n{points}{faces}".encode()]),
         ".obj": (
@@ -81,6 +108,9 @@ def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
         ),
         ".npz": (fmsync.load_problem, [packed]),
         ".json": (ConformalCalibration.load, [written]),
+        ".tri": (read_tri, ["".join(f"{a + 1} {b + 1} {c + 1}\n" for a, b, c in CORNERS).encode()]),
+        ".cache": (read_cache, [kept]),
+        ".parquet": (results.read, [tabled]),
     }
 
 
@@ -155,8 +185,12 @@ def fuzz(suffix: str, count: int) -> dict[int, str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mutants", type=int, default=2000, help="of each reader (default: %(default)s)")
-    count, harm = parser.parse_args().mutants, 0
+    parser.add_argument("--only", help="one reader, by its suffix")
+    options, harm = parser.parse_args(), 0
+    count = options.mutants
     for suffix, (_, good) in good_files().items():
+        if options.only not in (None, suffix):
+            continue
         began = time.perf_counter()
         found = fuzz(suffix, count)
         print(f"{suffix}: {count} mutants, {len(found)} did harm, {time.perf_counter() - began:.0f} s", flush=True)
