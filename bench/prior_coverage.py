@@ -1,9 +1,9 @@
 """Coverage and ranks where the truth comes from the very prior that the sampler assumes, with chains from Haar starts.
 
 ``python -m bench.prior_coverage`` adds problems to ``results/prior_coverage_problems.csv`` until the pooled share of
-covered maps has a standard error of half a point, and writes ``results/prior_coverage.json``. It can be stopped and
-continued. In :mod:`bench.calibration_coverage` one chain starts at the maximum of the likelihood, which tests that the
-posterior is left unchanged; here eight chains start at Haar draws and must find it.
+maps in balls of 90 % has a standard error of half a point, and writes ``results/prior_coverage.json``. It can be
+stopped and continued. In :mod:`bench.calibration_coverage` one chain starts at the maximum of the likelihood, which
+tests that the posterior is left unchanged; here eight chains start at Haar draws and must find it.
 
 Small problems say little of their noise level, and balls cover as promised only if the true level is a draw of its
 prior: κ uniform, σ² log-uniform. Those of the sampler are too wide for a study, so the level is drawn on a part of
@@ -125,7 +125,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     def precise() -> bool:
         pooled = found().get("all", {"problems": 0})
-        return pooled["problems"] >= 1000 and pooled["se 0.5"] <= _PRECISION
+        return pooled["problems"] >= 1000 and pooled["se 0.9"] <= _PRECISION
 
     fill(path, _FIELDS, todo, one, options.jobs, options.minutes, precise)
     command = f"python -m bench.prior_coverage{' --fixed' * options.fixed}"
