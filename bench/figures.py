@@ -17,8 +17,8 @@ _MARKERS = "osD^v<>pPXd"
 def errors(table: pd.DataFrame) -> Figure:
     """Error against noise, a panel for each row of :func:`bench.report.table1`, the paper's numbers as crosses.
 
-    Densities as in the paper: solid 1, dashed .833, dotted .667. The lower bound of density 1 is dotted where the error
-    is too large for it to hold.
+    Densities as in the paper: solid 1, dashed .833, dotted .667. The small-error bound of density 1 is dotted where
+    the error is too large for it to hold.
     """
     labels = [label for label in table.label.cat.categories if label != "observed"]
     rows = -(-len(labels) // 2)
@@ -32,9 +32,9 @@ def errors(table: pd.DataFrame) -> Figure:
             axis.fill_between(part.sigma2, part.low, part.high, color=line.get_color(), alpha=0.2, lw=0)
             axis.plot(part.sigma2, part.paper, "x", color=line.get_color())
         complete = table[(table.label == label) & (table.density == 1)]
-        axis.plot(complete.sigma2, complete.floor, "k:", lw=1.2, label="lower bound, not valid")
+        axis.plot(complete.sigma2, complete.floor, "k:", lw=1.2, label="small-error bound, not valid")
         valid = complete[complete.bound_valid]
-        axis.plot(valid.sigma2, valid.floor, "k.-", lw=1.2, label="lower bound" if len(valid) else None)
+        axis.plot(valid.sigma2, valid.floor, "k.-", lw=1.2, label="small-error bound" if len(valid) else None)
         axis.set_title(str(label), fontsize=11)
         axis.set(ylim=(0, 7), xticks=sorted(table.sigma2.unique())[1::2])
     axes[0, 0].plot([], [], "x", color="0.3", label="the paper")
@@ -97,10 +97,10 @@ def oracle(frame: pd.DataFrame) -> Figure:
 
 
 def error_against_seconds(board: pd.DataFrame) -> Figure:
-    """Error against CPU seconds of every method of a scoreboard, a panel for each problem, the lower bound as a line.
+    """Error against CPU seconds of every method of a scoreboard, a panel for each problem.
 
-    Errors are root mean squares, as the bound is. Names stand at the right, in their order; methods
-    without error, which see the truth, are left out.
+    Errors are root mean squares, as is the small-error bound, a line that is dotted where it does not hold. Names stand
+    at the right, in their order; methods without error, which see the truth, are left out.
     """
     rows = board[board.cpu.notna() & (board.rms > 0)]
     kinds = dict(iter(rows.groupby("problem", sort=False)))
@@ -118,7 +118,7 @@ def error_against_seconds(board: pd.DataFrame) -> Figure:
                 one.set_minor_formatter(mpl.ticker.NullFormatter())
         axis.margins(0.08)
         if drawn.floor.notna().any():
-            axis.axhline(drawn.floor.iloc[0], color="k", lw=1.2)
+            axis.axhline(drawn.floor.iloc[0], color="k", lw=1.2, ls="-" if drawn.bound_valid.iloc[0] else ":")
         axis.set_title(title, loc="left", fontsize=11)
         axis.set_ylabel("rms error", fontsize=11)
     axes[-1].set_xlabel("CPU seconds", fontsize=11)

@@ -69,7 +69,7 @@ def frobenius_errors(maps: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """The mean that lower bounds of the error speak about."""
+    """The mean that bounds of small errors speak about."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

@@ -15,7 +15,7 @@ _MOST_PAIRS = 2000  # pairs that an "all pairs" metric looks at; larger problems
 class Planted:
     """A problem with a known answer. Methods see ``problem`` alone, controls that ask for it see the truth too.
 
-    ``truth`` (N, n, n) are rotations, ``references`` lower bound and expected value of the error by metric name. Where
+    ``truth`` (N, n, n) are rotations, ``references`` small-error bound and expected value of the error by name. Where
     point maps are to be scored, ``bases`` are those of the N shapes, ``scored`` (P,) the vertices whose images are
     scored, the same on every shape, and ``distances`` for each shape (P, V) geodesic distances from these vertices to
     all, in square roots of its area.

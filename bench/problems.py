@@ -96,7 +96,7 @@ def _observed(truth: GroundTruth, rng: np.random.Generator, **protocol) -> Plant
 
 
 def _references(problem, sigma2, kappa, noise, outliers, **_) -> dict[str, float]:
-    """Root mean squares over the edges of the lower bound and of the expected error, where theory knows them."""
+    """Root mean squares over the edges of the small-error bound and of the expected error, where theory knows them."""
     if outliers or not (sigma2 or kappa) or problem.n_nodes > _MOST_NODES:
         return {}
     n_nodes, n = problem.n_nodes, problem.n

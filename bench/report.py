@@ -33,8 +33,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     -------
     DataFrame
         label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
-        agrees (whether the printed number lies in the interval), floor (lower bound) and expected (root mean squares),
-        recoverable (:func:`fmsync.bounds.recovery_threshold`), bound_valid (:func:`fmsync.bounds.is_small_error`).
+        agrees (whether the printed number lies in the interval), floor (the small-error bound) and expected (root mean
+        squares), recoverable (:func:`fmsync.bounds.recovery_threshold`), bound_valid
+        (:func:`fmsync.bounds.is_small_error`).
     """
     where = (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & frame.density.notna()
     chosen = frame[where & (frame.around.fillna("consistent") == around)]
@@ -92,7 +93,8 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     """One row for every method and kind of problem of a suite, best error first within a problem.
 
     Columns: problem, label, error (mean over seeds), low, high, rms, seconds, cpu and memory (medians, MB), failed
-    (runs without an answer); floor (lower bound) and expected, root mean squares, where theory knows them.
+    (runs without an answer); floor (small-error bound) and expected, root mean squares, where theory knows them, and
+    bound_valid as in :func:`table1`.
     """
     scalar, keys = frame[frame["at"].isna()], ["problem", "label"]
 
@@ -108,7 +110,16 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     table = table.merge(values(keys, "seconds", "cpu_seconds", "peak_memory"), how="left", on=keys)
     table = table.merge(values(keys, "edge_rms").rename(columns={"edge_rms": "rms"}), how="left", on=keys)
     table = table.merge(values(["problem"], "floor_rms", "expected_rms"), how="left", on="problem")
-    return table.rename(columns=_SHORT).reindex(columns=_BOARD).sort_values(["problem", "error"], ignore_index=True)
+    table = table.rename(columns=_SHORT).reindex(columns=_BOARD)
+    sizes = table.problem.map(lambda problem: json.loads(problem).get("n", np.nan))
+    table["bound_valid"] = is_small_error(sizes, table.floor**2)
+    return table.sort_values(["problem", "error"], ignore_index=True)
+
+
+def bracketed(table: pd.DataFrame) -> pd.Series:
+    """The column ``floor`` as text, in brackets where errors are too large for the bound to hold; NaN where unknown."""
+    text = [f"{x:.2f}" if valid else f"({x:.2f})" for x, valid in zip(table.floor, table.bound_valid)]
+    return pd.Series(text, table.index).where(table.floor.notna())
 
 
 def report(frame: pd.DataFrame) -> str:
@@ -118,7 +129,8 @@ def report(frame: pd.DataFrame) -> str:
         lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
     else:
         for problem, group in scoreboard(frame).groupby("problem", sort=False):
-            shown = group.drop(columns="problem").dropna(axis="columns", how="all").rename(columns={"floor": "bound"})
+            shown = group.assign(bound=bracketed(group)).drop(columns=["problem", "floor", "bound_valid"])
+            shown = shown.dropna(axis="columns", how="all")
             lines += [_named(problem), shown.to_string(index=False, float_format="{:.4g}".format)]
     failed = frame[frame.status != "ok"]
     if len(failed):
@@ -164,13 +176,14 @@ def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
             text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
         text += "" if row.recoverable else "'"
         cells[row.label, row.density, row.noise] = text
-    for name, column in {"bound": "floor", "expected": "expected"}.items():
-        for row in table.drop_duplicates(["density", "sigma2"]).itertuples():
-            cells[f"{name} (rms)", row.density, row.noise] = f"{getattr(row, column):.2f}"
+    for name, line in {"bound": bracketed(table), "expected": table.expected.map("{:.2f}".format)}.items():
+        for row in table.assign(line=line).drop_duplicates(["density", "sigma2"]).itertuples():
+            cells[f"{name} (rms)", row.density, row.noise] = row.line
     wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
     return (
         f"{variant_name(**variant)}\nours [95 % interval] / paper; "
-        f"* = the printed number lies in the interval; ' = beyond the recovery threshold\n{wide.to_string()}"
+        f"* = the printed number lies in the interval; ' = beyond the recovery threshold; "
+        f"(bound) = errors are too large for it\n{wide.to_string()}"
     )
 
 

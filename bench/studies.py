@@ -1,10 +1,14 @@
-"""What the stand-alone studies share: CPU seconds, and a JSON file to which each adds its part."""
+"""What the stand-alone studies share: CPU seconds, and files of results that are added to."""
 
+import csv
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+import joblib
+import pandas as pd
 
 from bench.provenance import machine
 from fmsync.files import replacing
@@ -25,3 +29,31 @@ def add_part(path: Path, part: str, found: Mapping, command: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         file.write(f"{json.dumps(table, indent=1, ensure_ascii=False)}\n".encode())
+
+
+def fill(
+    path: Path,
+    fields: Sequence[str],
+    todo: Sequence[tuple],
+    work: Callable[..., Mapping[str, object]],
+    jobs: int,
+    minutes: float,
+    enough: Callable[[], bool] = lambda: False,
+) -> None:
+    """Add to a CSV file, as they come, lines ``work(*task)`` of the tasks whose first fields it does not hold yet.
+
+    A run that was stopped continues. It ends when all are done, after so many ``minutes``, or when ``enough()``.
+    """
+    began, size, fresh = time.monotonic(), 4 * jobs, not path.exists()
+    known = set() if fresh else set(pd.read_csv(path)[list(fields[: len(todo[0])])].itertuples(index=False, name=None))
+    left = [task for task in todo if task not in known]
+    with path.open("a", newline="") as file, joblib.Parallel(jobs) as parallel:
+        writer = csv.DictWriter(file, fields)
+        if fresh:
+            writer.writeheader()
+        for first in range(0, len(left), size):
+            file.flush()
+            if time.monotonic() - began >= 60 * minutes or enough():
+                return
+            for line in parallel(joblib.delayed(work)(*task) for task in left[first : first + size]):
+                writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in line.items()})

@@ -152,7 +152,8 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, den
 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{k\rho N + 1}`, k observations for each of a
     fraction ρ of the pairs: there the leading eigenvectors of the connection matrix drown in its bulk (a heuristic from
-    random matrices).
+    random matrices). In the limit of many nodes the overlap of the posterior mean with the truth leaves zero there,
+    too: state evolution of Perry et al. (2018), for Gaussian observations of equal signal and noise.
 
     Infinity when even σ² = 100 stays above it.
 

@@ -5,6 +5,10 @@ m >= max n_i; an edge observes :math:`C_{ij} = C_i^\top C_j` (n_i, n_j). Unlike 
 :math:`\lVert C_i^\top C_j\rVert` is not constant, the energy keeps its quartic term, and neither the linear shortcuts
 nor the certificate of the square case apply.
 
+A map of a pair that is not observed need not be determined: if C_i, C_j reach out of the span of the shapes between
+them, that part of C_j can be rotated or reflected, and all observed maps stay. :meth:`RectangularEstimate.identifiable`
+looks for this.
+
 Inside, blocks are padded with zero columns to a common width, so that everything is batched.
 """
 
@@ -27,6 +31,9 @@ from fmsync.so import sym, transpose
 from fmsync.threads import single_threaded_blas
 
 _DENSE_UP_TO = 1000  # matrix size
+_RESTARTS = 8  # each finds one of two mirrored answers as often as the other
+_ZERO = 1e-6  # sine of an angle between spans
+_SAME = 1e-2  # Frobenius distance between maps that count as equal
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -98,9 +105,88 @@ class RectangularEstimate:
     trace: Trace
 
     def relative(self, edges: np.ndarray | None = None) -> list[np.ndarray]:
-        r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own."""
-        edges = self.problem.edges if edges is None else np.asarray(edges)
-        return [self.absolute[i].T @ self.absolute[j] for i, j in edges]
+        r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own.
+
+        A UserWarning names pairs that are not :meth:`identifiable`.
+        """
+        if edges is not None:
+            unknown = np.asarray(edges)[~self.identifiable(edges)].tolist()
+            if unknown:
+                message = (
+                    f"relative: the observed maps do not determine pairs {', '.join(map(str, unknown[:5]))}"
+                    f"{' and others' * (len(unknown) > 5)}; observe them, or take a smaller universe"
+                )
+                warnings.warn(message, UserWarning, stacklevel=2)
+        return self._relative(self.absolute, self.problem.edges if edges is None else edges)
+
+    def identifiable(self, edges: ArrayLike) -> np.ndarray:
+        r"""Whether the observed maps, as fitted, determine the relative maps of pairs ``edges`` (K, 2): (K,) booleans.
+
+        A pair is determined where it is observed, or where maps multiply along observed pairs without leaving a span:
+        with T the neighbours of k among shapes that are determined together, :math:`C_i^\top C_k` follows from
+        :math:`C_t^\top C_k` if the span of T holds that of C_i, and k is one of them if the span holds that of C_k.
+        For other pairs eight fits from random starts look for frames that meet all observed maps exactly and differ
+        here. False is then certain, True means that none was found.
+
+        Examples
+        --------
+        >>> import numpy as np, fmsync
+        >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
+        >>> fmsync.solve_rectangular(p).identifiable([[0, 1], [0, 2]])
+        array([ True, False])
+        """
+        pairs = np.asarray(edges)
+        checks.indices("edges", pairs.ravel(), self.problem.n_nodes, "nodes")
+        known = self._determined[tuple(pairs.T)]
+        if not known.all():
+            left, ours = np.flatnonzero(~known), self._relative(self.absolute, pairs[~known])
+            known[left] = True
+            for other in self._others:
+                theirs = self._relative(other, pairs[left])
+                known[left] &= [bool(np.linalg.norm(a - b) < _SAME) for a, b in zip(ours, theirs)]
+        return known
+
+    @cached_property
+    def _determined(self) -> np.ndarray:
+        """(N, N) pairs whose relative maps follow from the observed ones by products."""
+        n_nodes, edges = self.problem.n_nodes, self.problem.edges
+        known = np.eye(n_nodes, dtype=bool)
+        known[tuple(edges.T)] = known[tuple(edges[:, ::-1].T)] = True
+        near, grown = known.copy(), np.zeros_like(known)
+        for edge in edges:
+            if grown[tuple(edge)]:  # a set that has grown already holds both ends
+                continue
+            together, size = np.isin(np.arange(n_nodes), edge), 0
+            while size < together.sum():
+                size = int(together.sum())
+                for k in np.flatnonzero(near[together].any(axis=0) & ~(together & known[together].all(axis=0))):
+                    seen = np.hstack([self.absolute[t] for t in np.flatnonzero(together & near[k])])
+                    squares, axes = np.linalg.eigh(seen @ seen.T)
+                    beyond = axes[:, squares < _ZERO**2].T  # what no neighbour of k sees
+                    held = np.array([np.abs(beyond @ block).max(initial=0) < _ZERO for block in self.absolute])
+                    known[k] |= together & held
+                    together[k] |= held[k]
+            grown[np.ix_(together, together)] = True
+        return known | known.T
+
+    @cached_property
+    def _others(self) -> list[tuple[np.ndarray, ...]]:
+        """Frames that meet the fitted maps of the observed pairs exactly."""
+        p = self.problem
+        fitted = RectangularSyncProblem(p.n_nodes, p.edges, self._relative(self.absolute, p.edges), p.weights)
+        m, rng = len(self.absolute[0]), np.random.default_rng(0)
+        model, found = Frames(fitted, m), []
+        with single_threaded_blas():
+            for _ in range(_RESTARTS):
+                start = _starting_frames(fitted, m, "random", rng)
+                frames, _, trace = minimise(model, start, tolerance=1e-9, max_iterations=500)
+                if trace.cost[-1] < 1e-12 * model.magnitude:
+                    found.append(tuple(block[:, :size] for block, size in zip(frames, p.sizes)))
+        return found
+
+    @staticmethod
+    def _relative(frames: tuple[np.ndarray, ...], edges: ArrayLike) -> list[np.ndarray]:
+        return [frames[i].T @ frames[j] for i, j in np.asarray(edges)]
 
 
 def solve_rectangular(

@@ -14,7 +14,7 @@ from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC
 
 N_PILOTS = 8
-_SHARE = 0.04  # of the chain steps of the whole run that all pilots together may take
+_SHARE = 0.03  # of the chain steps of the whole run that all pilots together may take: 5 % of its CPU time
 _LEAST_STEPS = 30  # fewer tell nothing
 _MOST_EDGES, _MOST_DRAWS = 32, 100  # that are compared
 _DRAWS_A_CHAIN, _FEWEST_DRAWS = 50, 10
@@ -29,43 +29,49 @@ def pilot_steps(n_chains: int, n_steps: int) -> int:
     return steps if steps >= _LEAST_STEPS else 0
 
 
-def unvisited_mode(target: Target, draws: np.ndarray, kappa: float, n_steps: int, rng: np.random.Generator) -> str:
+def unvisited_mode(
+    target: Target, draws: np.ndarray, energies: np.ndarray, kappa: float, n_steps: int, rng: np.random.Generator
+) -> str:
     """What to say of a mode that pilots of ``n_steps`` steps found and kept draws (K, T, N, n, n) did not, or nothing.
 
-    Six of eight start at Haar draws, two at kept draws that are perturbed; they run at the concentration of the kept
-    draws. Where a pilot was in its third quarter, and the kept draws in their first half, gives the direction in which
-    the rest of both is compared: in many dimensions noise would be taken for a distance otherwise.
+    The kept draws have ``energies`` (K, T) and mean concentration ``kappa``, at which the pilots run. Six of eight
+    start at Haar draws, two at kept draws that are perturbed. Where a pilot was in its third quarter, and the kept
+    draws in their first half, gives the direction in which the rest of both is compared: in many dimensions noise
+    would be taken for a distance otherwise.
     """
     p, few = target.problem, _thinned(draws, max(_MOST_DRAWS // len(draws), 2))
     kept = few.reshape(-1, *few.shape[2:])
-    potential = energy if target.energy == "euclidean" else geodesic_energy
+    at_home = energies.mean()
+    if target.prior is not None:  # the energies of "rlfm" hold the prior
+        at_home = (energy if target.energy == "euclidean" else geodesic_energy)(p, kept).mean()
     start = so.random_uniform(p.n, (N_PILOTS, p.n_nodes), rng)
     noise = 2 * so.skew(rng.standard_normal((N_PILOTS // 4, p.n_nodes, p.n, p.n)))
     start[::4] = kept[rng.integers(len(kept), size=N_PILOTS // 4)] @ so.exp(noise)
     if target.likelihood != "langevin":
-        cosine = 1 - potential(p, kept).mean() / (2 * p.n * p.weights.sum())
+        cosine = 1 - at_home / (2 * p.n * p.weights.sum())
         kappa = matched_kappa(p.n, min(max(cosine, 1e-3), 1 - 1e-3))
     settled = Target(p, target.prior, kappa, energy=target.energy)
     pilots: Sampler = (HeatBath if target.energy == "euclidean" else HMC)(settled, start, rng)
-    states = []
+    states, potentials = [], []
     for k in range(n_steps):
         pilots.step(warmup=4 * k < 2 * n_steps)
-        states.append(pilots.state.copy())
+        if 2 * k >= n_steps:
+            states.append(pilots.state.copy())
+            potentials.append(pilots.energy().copy())
     quarter = n_steps // 4
     late = np.array(states[-2 * quarter :])  # (S, pilots, N, n, n)
     edges = _some_edges(p)
     known, seen = _halves(_relative(few, edges)), _relative(late, edges)
-    energies, at_home = potential(p, late), potential(p, kept)
-    third, last = energies[:quarter], energies[quarter:]
+    third, last = np.split(np.array(potentials[-2 * quarter :]), 2)
     moving = np.abs(third.mean(0) - last.mean(0)) > 2 * np.hypot(third.std(0), last.std(0))
-    lost = kappa / 2 * (last.mean(0) - at_home.mean()) > _NEGLIGIBLE
+    lost = kappa / 2 * (last.mean(0) - at_home) > _NEGLIGIBLE
     elsewhere = np.array([_apart((seen[:quarter, k], seen[quarter:, k]), known) for k in range(N_PILOTS)])
     found = elsewhere & ~moving & ~lost
     if not found.any():
         return ""
     return (
         f"{found.sum()} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode, at a mean "
-        f"energy of {last.mean(0)[found].min():.4g} where these chains have {at_home.mean():.4g}: the draws say "
+        f"energy of {last.mean(0)[found].min():.4g} where these chains have {at_home:.4g}: the draws say "
         "nothing about it; use method='tempered', which weighs the modes"
     )
 

@@ -101,7 +101,7 @@ def sample(
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
         looks = n_steps and method != "tempered" and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
-            said = unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0])
+            said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
             warnings.warn(said, ConvergenceWarning, stacklevel=2)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}

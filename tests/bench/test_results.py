@@ -171,6 +171,9 @@ def test_scoreboard_ranks_and_counts_failures():
     assert board.label.tolist() == ["good", "bad", "none"]
     assert board.error.tolist()[:2] == [1.5, 3.5]
     assert board.failed.tolist() == [0, 0, 1]
+    assert report.bracketed(board).isna().all()  # nothing is known of the bound
+    bounds = report.bracketed(board.assign(floor=[1.0, 3.0, np.nan], bound_valid=[True, False, False]))
+    assert bounds.tolist()[:2] == ["1.00", "(3.00)"]
     drawn = figures.error_against_seconds(board).axes[0]
     np.testing.assert_allclose(drawn.lines[0].get_data(), [[0.1, 0.1], [2.5**0.5, 12.5**0.5]])  # roots of mean squares
     heights = {text.get_text(): text.get_position()[1] for text in drawn.texts}

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import data_gen
-from bench import calibration_coverage, studies
+from bench import calibration_coverage, prior_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
 from bench.own_shapes import confidence, evaluation, stages
 
@@ -51,6 +51,33 @@ def test_coverage_runs_what_is_missing_and_goes_on(tmp_path, monkeypatch):
     table = pd.read_csv(tmp_path / "calibration_coverage.csv")
     assert table.problems.tolist() == [1, 2]
     assert {"0.5", "se 0.5", "ess", "cpu_hours"} <= set(table.columns)
+
+
+def test_coverage_under_the_prior_goes_on_and_pools_its_settings(tmp_path, monkeypatch):
+    monkeypatch.setattr(prior_coverage, "_EFFECTIVE", 100)
+    monkeypatch.setattr(prior_coverage, "_DRAWS", 25)
+    for problems, lines in ((1, 4), (3, 7), (3, 7)):  # not every setting takes part in every problem
+        prior_coverage.main(["--problems", str(problems), "--results", str(tmp_path)])
+        assert len(pd.read_csv(tmp_path / "prior_coverage_problems.csv")) == lines
+    found = json.loads((tmp_path / "prior_coverage.json").read_text(encoding="utf-8"))["drawn"]
+    pooled = found["settings"]["all"]
+    assert pooled["problems"] + pooled["passed over"] == 7
+    assert 0 <= pooled["0.5"] <= pooled["0.95"] <= 1
+    assert found["command"] == "python -m bench.prior_coverage"
+
+
+def test_ranks_and_coverage_of_uniform_levels_stay_within_their_bands():
+    rng, count = np.random.default_rng(1), 2000
+    level = rng.random(count)
+    line = {"setting": "Langevin, n = 3", "ess": 1000.0}
+    rows = pd.DataFrame({**dict.fromkeys(("rank_level", "rank_energy", "rank_entry"), level), **line})
+    for q, column in calibration_coverage.COVERED.items():
+        rows[column] = (level <= q).astype(float)
+    right = prior_coverage.table(rows)["all"]
+    wrong = prior_coverage.table(rows.assign(rank_level=level**1.3))["all"]
+    assert abs(right["0.8"] - 0.8) < 5 * right["se 0.8"]
+    assert right["ranks"]["level"] < 1.5 * right["band"] < wrong["ranks"]["level"]
+    assert abs(right["se 0.8"] - 0.4 / np.sqrt(count)) < 0.001
 
 
 def test_evaluation_knows_the_right_images(observed):

@@ -149,3 +149,52 @@ def test_bad_input_is_named():
         fmsync.solve_rectangular(problem, 4)
     with pytest.raises(ValueError, match="init: 'spectral' or 'random', not 'cold'"):
         fmsync.solve_rectangular(problem, init="cold")
+
+
+def turned_beyond(frames, middle, part):
+    """Other frames with the same maps to ``middle``: what lies outside of its span is turned in one shape."""
+    span, _, _ = np.linalg.svd(frames[middle])
+    inside, outside = np.split(span, [frames[middle].shape[1]], axis=1)
+    turn = inside @ inside.T + outside @ -np.eye(outside.shape[1]) @ outside.T
+    return [turn @ frame if k == part else frame for k, frame in enumerate(frames)]
+
+
+@pytest.mark.parametrize("sizes", [(4, 3, 5), (4, 4, 4)])  # the part outside can be rotated, or only reflected
+def test_maps_through_a_smaller_shape_are_said_to_be_undetermined(sizes):
+    problem, frames = planted(sizes, 5, graph=nx.path_graph(3), seed=3)
+    others = turned_beyond(frames, 1, 2)
+    assert energy(problem, others) < 1e-20
+    assert np.linalg.norm(frames[0].T @ frames[2] - others[0].T @ others[2]) > 0.1  # two truths, the same data
+    estimate = fmsync.solve_rectangular(problem, 5, init="random")  # the spectral start of a path is a saddle
+    assert estimate.cost < 1e-10
+    assert estimate.identifiable([[0, 1], [2, 0], [1, 1]]).tolist() == [True, False, True]
+    with pytest.warns(UserWarning, match=r"do not determine pairs \[0, 2\]; observe them"):
+        estimate.relative(np.array([[1, 2], [0, 2]]))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "m", "graph"),
+    [
+        ((4, 5, 3), 5, nx.path_graph(3)),  # through a shape that sees everything
+        ((4,) * 6, 6, nx.wheel_graph(6)),  # two neighbours see everything together
+        ((4,) * 5, 6, nx.cycle_graph(5)),  # by the whole cycle, no product of maps tells
+        ((3,) * 4, 3, nx.path_graph(4)),  # square maps
+    ],
+)
+def test_maps_that_are_determined_are_returned_without_a_word(sizes, m, graph):
+    problem, frames = planted(sizes, m, graph=graph)
+    estimate = fmsync.solve_rectangular(problem, m)
+    assert estimate.cost < 1e-10
+    pairs = np.stack(np.triu_indices(len(sizes), 1), axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = estimate.relative(pairs)
+    assert all(np.abs(x - frames[i].T @ frames[j]).max() < 1e-4 for x, (i, j) in zip(found, pairs))
+
+
+def test_a_ring_of_small_shapes_in_a_large_universe_is_undetermined():
+    problem, _ = planted((2,) * 4, 5, graph=nx.cycle_graph(4))
+    estimate = fmsync.solve_rectangular(problem, 5)
+    assert estimate.identifiable([[0, 2], [1, 3], [0, 3]]).tolist() == [False, False, True]
+    with pytest.raises(ValueError, match=r"edges"):
+        estimate.identifiable([[0, 4]])

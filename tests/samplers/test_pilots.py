@@ -55,7 +55,7 @@ def test_nothing_is_said_where_chains_mix(n_nodes, n, sigma2, density):
 
 def test_short_runs_have_no_pilots():
     assert pilot_steps(4, 100) == 0
-    assert pilot_steps(4, 2000) == 40
+    assert pilot_steps(4, 2000) == 30
 
 
 def test_pilots_do_not_change_the_draws():
