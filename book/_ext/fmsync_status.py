@@ -67,11 +67,12 @@ def worlds_table(told: dict) -> list[str]:
     | {doc}`/chapters/05_oracle` | `a < b: 3 and 2` | 5.2: `a < b` |
     """
     titles = ["chapter", *told["worlds"], "closest claim"]
+    folders = {page.stem: page.parent.name for page in pages()}
     lines = [f"| {' | '.join(titles)} |", "|" + " --- |" * len(titles)]
     for chapter, row in told["chapters"].items():
         cells = [_code("; ".join(failed)) if failed else "held" for failed in row["failures"]]
         near = f"{row['margin']:.1f}: {_code(row['closest'])}" if row["closest"] else "–"
-        lines.append(f"| {{doc}}`/chapters/{chapter}` | {' | '.join(cells)} | {near} |")
+        lines.append(f"| {{doc}}`/{folders[chapter]}/{chapter}` | {' | '.join(cells)} | {near} |")
     return [*lines, "", f"Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."]
 
 
@@ -98,7 +99,7 @@ def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
         data = found.get(page, {})
         told = [f"{data[key]:.0f}" if key in data else "–" for key in ("execution_seconds", "cpu_seconds")]
         told.append("passed" if page in found else "not run")
-        lines.append(f"| {{doc}}`/chapters/{page.stem}` | {' | '.join(told)} |")
+        lines.append(f"| {{doc}}`/{page.parent.name}/{page.stem}` | {' | '.join(told)} |")
     total = sum(data.get("cpu_seconds", 0) for data in found.values())  # what another tool executed has no such entry
     lines += ["", f"Together {total / 60:.1f} CPU-minutes.", ""]
     for name in ("machine", "system", "shapes"):
