@@ -8,10 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import numpy as np
+from typing import Any
 
 _EXIT = (
     "exit status: 0 done, 1 it failed, 2 wrong options or an unusable file, 130 stopped by Ctrl-C. The output appears "
@@ -45,8 +42,8 @@ def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     sample.add_argument("--method", default="heat-bath", help="a sampler, fmsync.samplers.methods() (%(default)s)")
-    sample.add_argument("--chains", type=int, default=4, help="(%(default)s)")
-    sample.add_argument("--draws", type=int, default=1000, help="of each chain (%(default)s)")
+    sample.add_argument("--chains", dest="n_chains", type=int, default=4, help="(%(default)s)")
+    sample.add_argument("--draws", dest="n_draws", type=int, default=1000, help="of each chain (%(default)s)")
     sample.add_argument("--warmup", type=int, default=1000, help="steps before the first draw (%(default)s)")
     sample.add_argument("--thin", type=int, default=1, help="steps from one draw to the next (%(default)s)")
     sample.add_argument("--kappa", type=float, help="concentration of the observations (default: that of the method)")
@@ -95,17 +92,10 @@ def run_sample(options: argparse.Namespace) -> int:
     _check(options)
     problem, began = load_problem(options.problem), time.perf_counter()
     with said_in_plain_words() as said:
-        post = sample(
-            problem,
-            options.method,
-            rng=options.seed,
-            n_chains=options.chains,
-            n_draws=options.draws,
-            warmup=options.warmup,
-            thin=options.thin,
-            kappa=options.kappa,
-            likelihood=options.likelihood,
-        )
+        chosen = {
+            name: getattr(options, name) for name in ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
+        }
+        post = sample(problem, options.method, rng=options.seed, **chosen)
     if post.interrupted:
         raise KeyboardInterrupt
     arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
@@ -154,11 +144,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _write(
-    options: argparse.Namespace,
-    arrays: "dict[str, np.ndarray]",
-    summary: Mapping[str, object],
-    said: list[str],
-    began: float,
+    options: argparse.Namespace, arrays: Mapping[str, Any], summary: Mapping[str, object], said: list[str], began: float
 ) -> None:
     """The arrays into the output, whole or not at all, and the summary on stdout."""
     import numpy as np
@@ -166,7 +152,7 @@ def _write(
     from fmsync.files import replacing
 
     with replacing(options.output) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        np.savez(file, **arrays)
     told = {"output": str(options.output), "method": options.method, **summary, "seconds": time.perf_counter() - began}
     if options.json:
         print(as_json(told | {"warnings": said}))
