@@ -1,5 +1,6 @@
 """The public names: type checkers read them here, and ``__init__.py`` imports each when it is first used."""
 
+from fmsync import adapters as adapters
 from fmsync import bounds as bounds
 from fmsync import calibration as calibration
 from fmsync import diagnostics as diagnostics

@@ -1,12 +1,11 @@
-"""The command line: ``fmsync sync MESH_OR_FOLDER... -o OUT``."""
+"""The command line: ``fmsync sync``, ``solve``, ``sample`` and ``info``."""
 
 import argparse
 import os
 import sys
-from concurrent.futures.process import BrokenProcessPool
 
 import fmsync
-from fmsync import sync_cli
+from fmsync import info_cli, problem_cli, sync_cli
 from fmsync.extras import MissingExtra
 
 
@@ -19,6 +18,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     sync_cli.add_parser(commands)
+    problem_cli.add_parsers(commands)
+    info_cli.add_parser(commands)
     parsed = parser.parse_args(arguments)
     try:
         status: int = parsed.run(parsed)
@@ -27,11 +28,11 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, MissingExtra) as error:
         return _ended(error, 2)
     except KeyboardInterrupt:
-        return _ended("stopped; what is finished is kept, give the same command again to go on", 130)
+        return _ended(parsed.stopped, 130)
     except BrokenPipeError:  # nobody reads what we print; Python would complain once more when it closes stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (OSError, MemoryError, BrokenProcessPool) as error:
+    except (OSError, MemoryError, RuntimeError) as error:
         return _ended(str(error) or type(error).__name__, 1)
 
 

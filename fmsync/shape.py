@@ -16,6 +16,8 @@ from fmsync.block_krylov import largest_eigenpairs
 from fmsync.extras import require
 from fmsync.threads import single_threaded_blas
 
+_SPECTRUM, _MULTIPLE, _MANY = 21, 0.02, 0.3  # of 20 eigenvalues, gaps so small make them one; so many are no accident
+
 
 @dataclass(frozen=True, eq=False)
 class Shape:
@@ -93,6 +95,12 @@ class Basis:
     def n_vertices(self) -> int:
         """Number of vertices V."""
         return len(self.mass)
+
+    @property
+    def has_continuous_symmetry(self) -> bool:
+        """Whether eigenvalues are multiple so often that the surface turns into itself, as a vase does."""
+        values = self.eigenvalues[1:_SPECTRUM]
+        return len(values) > 1 and bool((np.diff(values) < _MULTIPLE * values[:-1]).mean() > _MANY)
 
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""

@@ -56,7 +56,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: cores)")
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, stopped="stopped; what is finished is kept, give the same command again to go on")
 
 
 def run(options: argparse.Namespace) -> int:

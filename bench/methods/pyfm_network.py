@@ -9,6 +9,7 @@ import scipy.sparse
 
 from bench.methods import Answer, method
 from fmsync import so
+from fmsync.adapters import to_pyfm_maps
 from fmsync.extras import require
 
 _EIGENVALUE_SHIFT = 1e-6
@@ -54,13 +55,8 @@ def shape_network(problem, fixed: bool):
             loops = (c_ki @ c_jk @ c_ij, c_ij @ c_ki @ c_jk, c_jk @ c_ij @ c_ki)  # i -> j -> k -> i, and from j, from k
             return max(np.linalg.norm(loop - np.eye(len(loop))) for loop in loops)
 
-    maps, counts = {}, {}
-    for (i, j), c in zip(problem.edges.tolist(), problem.maps):
-        for pair, observation in (((j, i), c), ((i, j), c.T)):
-            maps[pair] = maps.get(pair, 0.0) + observation
-            counts[pair] = counts.get(pair, 0) + 1
     network = (RightOrder if fixed else network_class)([None] * problem.n_nodes)
-    return network.set_maps({pair: total / counts[pair] for pair, total in maps.items()})
+    return network.set_maps(to_pyfm_maps(problem))
 
 
 def has_cycles(network) -> bool:

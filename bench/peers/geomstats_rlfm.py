@@ -3,10 +3,9 @@
 Only for comparison. geomstats is imported when the sampler is made, so that nothing else waits for it.
 """
 
-import os
-
 import numpy as np
 
+from fmsync.adapters import to_geomstats
 from fmsync.energy import energy
 from fmsync.samplers import Sampler, Target, sampler
 from fmsync.samplers.rlfm import default_step
@@ -20,12 +19,8 @@ class GeomstatsRLFM(Sampler):
         target.only("rlfm-geomstats", likelihood="langevin", energy="euclidean")
         if target.prior is not None:
             raise ValueError("prior: 'rlfm-geomstats' takes none; use 'rlfm'")
-        os.environ.setdefault("GEOMSTATS_BACKEND", "numpy")
-        from geomstats.geometry.special_orthogonal import SpecialOrthogonal
-
         self._problem, self._rng, self._age = target.problem, rng, 0
-        self._space = SpecialOrthogonal(n=self._problem.n, equip=False)
-        self._c = start.copy()
+        self._space, self._c = to_geomstats(start)
         self.kappa = np.full(len(start), target.fixed_kappa())
         self._beta = self.kappa[0] / 2
         self._step = default_step(self._problem, self.kappa[0]) if step is None else step

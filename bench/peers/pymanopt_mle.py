@@ -1,16 +1,11 @@
-"""Maximum likelihood as others write it: pymanopt's trust regions on the power manifold SO(n)^N.
-
-The power manifold, never ``Product([SO(n)] * N)``: the Riemannian Hessian of the product is wrong (pymanopt issue 219)
-and its trust regions then do not converge.
-"""
+"""Maximum likelihood as others write it: pymanopt's trust regions on the power manifold SO(n)^N."""
 
 import autograd.numpy as anp
 import numpy as np
 import pymanopt
-from pymanopt.manifolds import SpecialOrthogonalGroup
 from pymanopt.optimizers import TrustRegions
 
-from fmsync.energy import neighbour_sums
+from fmsync.adapters import to_pymanopt
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
 from fmsync.estimators.base import Recorder
 from fmsync.problem import SyncProblem
@@ -35,8 +30,8 @@ def mle_pymanopt(
     if derivatives not in ("hand", "autograd"):
         raise ValueError(f"derivatives: 'hand' or 'autograd', not {derivatives!r}")
     start, recorder = starting_point(problem, init, rng), Recorder(callback)
-    manifold = SpecialOrthogonalGroup(problem.n, k=problem.n_nodes)
-    objective = (_by_hand if derivatives == "hand" else _by_autograd)(problem, manifold, recorder)
+    plain = to_pymanopt(problem)
+    objective = _watched(problem, plain, recorder) if derivatives == "hand" else _by_autograd(problem, plain.manifold)
     optimizer = TrustRegions(min_gradient_norm=tolerance, max_iterations=max_iterations, verbosity=0)
     result = optimizer.run(objective, initial_point=start)
     trace, point = recorder.trace(), result.point
@@ -44,28 +39,25 @@ def mle_pymanopt(
     return Estimate.from_absolute(problem, point, "mle-pymanopt", converged=converged, trace=trace)
 
 
-def _by_hand(problem: SyncProblem, manifold, recorder: Recorder) -> pymanopt.Problem:
-    """Ambient derivatives of U_E = constant - Σ tr(C_j^T S_j): -2 S and, along V, -2 S(V)."""
+def _watched(problem: SyncProblem, plain: pymanopt.Problem, recorder: Recorder) -> pymanopt.Problem:
+    """The same objective, whose gradient -2 S tells the recorder of the cost, constant - Σ tr(C_j^T S_j), as well."""
+    ambient = pymanopt.function.numpy(plain.manifold)
 
-    @pymanopt.function.numpy(manifold)
-    def cost(c):
-        return problem.constant - np.vdot(c, neighbour_sums(problem, c))
+    def gradient(c):
+        found = plain.euclidean_gradient(c)
+        norm = np.linalg.norm(plain.manifold.euclidean_to_riemannian_gradient(c, found))
+        recorder(c, problem.constant + np.vdot(c, found) / 2, norm)
+        return found
 
-    @pymanopt.function.numpy(manifold)
-    def euclidean_gradient(c):
-        sums = neighbour_sums(problem, c)
-        norm = np.linalg.norm(manifold.euclidean_to_riemannian_gradient(c, -2 * sums))
-        recorder(c, problem.constant - np.vdot(c, sums), norm)
-        return -2 * sums
-
-    @pymanopt.function.numpy(manifold)
-    def euclidean_hessian(c, v):
-        return -2 * neighbour_sums(problem, v)
-
-    return pymanopt.Problem(manifold, cost, euclidean_gradient=euclidean_gradient, euclidean_hessian=euclidean_hessian)
+    return pymanopt.Problem(
+        plain.manifold,
+        ambient(plain.cost),
+        euclidean_gradient=ambient(gradient),
+        riemannian_hessian=ambient(plain.riemannian_hessian),
+    )
 
 
-def _by_autograd(problem: SyncProblem, manifold, recorder: Recorder) -> pymanopt.Problem:
+def _by_autograd(problem: SyncProblem, manifold) -> pymanopt.Problem:
     i, j = problem.edges.T
 
     @pymanopt.function.autograd(manifold)

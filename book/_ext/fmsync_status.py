@@ -68,11 +68,12 @@ def worlds_table(told: dict) -> list[str]:
     >>> print(lines[-2])
     - {doc}`/chapters/05_oracle`: in world 1 `a < b: 3 and 2` failed; closest `a < b`
     """
+    folders = {page.stem: page.parent.name for page in pages()}
     titles = ["chapter", *map(str, range(1, len(told["worlds"]) + 1)), "margin"]
     lines = [f"| {' | '.join(titles)} |", "|" + " --- |" * len(titles)]
     notes = []
     for chapter, row in told["chapters"].items():
-        name = f"{{doc}}`/chapters/{chapter}`"
+        name = f"{{doc}}`/{folders[chapter]}/{chapter}`"
         cells = ["✗" if failed else "✓" for failed in row["failures"]]
         lines.append(f"| {name} | {' | '.join(cells)} | {row['margin'] or 0:.1f} |")
         said = [f"in world {k} {_code('; '.join(f))} failed" for k, f in enumerate(row["failures"], 1) if f]
@@ -106,7 +107,7 @@ def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
         data = found.get(page, {})
         told = [f"{data[key]:.0f}" if key in data else "–" for key in ("execution_seconds", "cpu_seconds")]
         told.append("passed" if page in found else "not run")
-        lines.append(f"| {{doc}}`/chapters/{page.stem}` | {' | '.join(told)} |")
+        lines.append(f"| {{doc}}`/{page.parent.name}/{page.stem}` | {' | '.join(told)} |")
     total = sum(data.get("cpu_seconds", 0) for data in found.values())  # what another tool executed has no such entry
     lines += ["", f"Together {total / 60:.1f} CPU-minutes.", ""]
     for name in ("machine", "system", "shapes"):

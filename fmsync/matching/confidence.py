@@ -15,7 +15,6 @@ _FAR = 0.12  # two places this far apart are two modes
 _SHARE = 0.2  # and both hold this share of the votes
 _NEIGHBOURS, _AROUND = 8, 0.15  # samples that tell local distortion, square roots of the area it is averaged over
 _ALIKE = 0.05  # largest difference of the logarithms of heat kernel signatures of places that look the same
-_SPECTRUM, _MULTIPLE, _MANY = 21, 0.02, 0.3  # of 20 eigenvalues, gaps so small make them one; so many are no accident
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +125,8 @@ def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def has_continuous_symmetry(shape: SampledShape) -> bool:
-    """Whether eigenvalues are multiple so often that the surface turns into itself, with no landmarks to stop it."""
-    values = shape.basis.eigenvalues[1:_SPECTRUM]
-    multiple = np.diff(values) < _MULTIPLE * values[:-1]
-    return bool(shape.n_landmarks < 2 and multiple.mean() > _MANY)
+    """Whether the surface turns into itself, with no landmarks to stop it."""
+    return shape.n_landmarks < 2 and shape.basis.has_continuous_symmetry
 
 
 def _orbit_radius(shape: SampledShape, level: float) -> np.ndarray:

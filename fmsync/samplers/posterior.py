@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fmsync import checks, so
+from fmsync import adapters, checks, so
 from fmsync.diagnostics import Summary, summary
 from fmsync.problem import SyncProblem, relative_maps
 
@@ -81,6 +82,10 @@ class Posterior:
     def summary(self) -> Summary:
         """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
         return summary(self)
+
+    def to_arviz(self, edges: np.ndarray | None = None) -> Any:
+        """The same scalars as an object of ArviZ (:func:`fmsync.adapters.to_arviz`)."""
+        return adapters.to_arviz(self, edges)
 
     def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
         """(chains * draws,) distance of every draw of one relative map to the mean of the others."""

@@ -1,0 +1,165 @@
+"""``fmsync solve`` and ``fmsync sample``: absolute maps of a problem that ``fmsync.save_problem`` wrote."""
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+_EXIT = (
+    "exit status: 0 done, 1 it failed, 2 wrong options or an unusable file, 130 stopped by Ctrl-C. The output appears "
+    "whole\nor not at all, in the place of a file that is there."
+)
+
+
+def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add ``solve`` and ``sample`` to a parser."""
+    solve = commands.add_parser(
+        "solve",
+        help="the best absolute maps of a problem, and whether they are",
+        description="Estimate the absolute maps of a problem, and test whether no other rotations fit better.",
+        epilog="examples:\n  fmsync solve problem.npz -o maps.npz\n"
+        "  fmsync solve problem.npz -o maps.npz --method robust --json\n\n"
+        "The output holds absolute (N, n, n), edges (E, 2) and relative (E, n, n), the maps made consistent, and of\n"
+        "--method robust edge_weights (E,), near 0 for maps that contradict the others.\n\n" + _EXIT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument("--method", default="mle", help="an estimator, fmsync.methods() (%(default)s)")
+    solve.add_argument("--restarts", type=int, help="starts, the first the method's own and the others random")
+    solve.set_defaults(run=run_solve)
+    sample = commands.add_parser(
+        "sample",
+        help="draws of the absolute maps from their posterior, and whether the chains agree",
+        description="Draw the absolute maps of a problem from their posterior.",
+        epilog="examples:\n  fmsync sample problem.npz -o draws.npz\n"
+        "  fmsync sample problem.npz -o draws.npz --likelihood projected-gaussian --draws 2000 --json\n\n"
+        "The output holds absolute (chains, draws, N, n, n), energy and kappa (chains, draws), edges (E, 2) and\n"
+        "relative_mean (E, n, n). Only relative maps mean something: the gauge of each draw is arbitrary.\n\n" + _EXIT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    sample.add_argument("--method", default="heat-bath", help="a sampler, fmsync.samplers.methods() (%(default)s)")
+    sample.add_argument("--chains", dest="n_chains", type=int, default=4, help="(%(default)s)")
+    sample.add_argument("--draws", dest="n_draws", type=int, default=1000, help="of each chain (%(default)s)")
+    sample.add_argument("--warmup", type=int, default=1000, help="steps before the first draw (%(default)s)")
+    sample.add_argument("--thin", type=int, default=1, help="steps from one draw to the next (%(default)s)")
+    sample.add_argument("--kappa", type=float, help="concentration of the observations (default: that of the method)")
+    sample.add_argument("--likelihood", default="langevin", help="or projected-gaussian (%(default)s)")
+    sample.set_defaults(run=run_sample)
+    for parser in (solve, sample):
+        parser.add_argument("problem", type=Path, metavar="PROBLEM.npz", help="written by fmsync.save_problem")
+        parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.npz", help="file to write")
+        parser.add_argument("--seed", type=int, default=0, help="same seed, same answer (%(default)s)")
+        parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
+        parser.set_defaults(stopped="stopped; nothing was written")
+
+
+def run_solve(options: argparse.Namespace) -> int:
+    """Solve, certify and write."""
+    from fmsync.estimators.certificate import certify
+    from fmsync.estimators.solve import solve
+    from fmsync.problem import load_problem
+
+    _check(options)
+    problem, began = load_problem(options.problem), time.perf_counter()
+    with said_in_plain_words() as said:
+        estimate = solve(problem, options.method, rng=options.seed, restarts=options.restarts)
+    certificate = certify(problem, estimate) if estimate.on_group else None
+    arrays = {"absolute": estimate.absolute, "edges": problem.edges, "relative": estimate.relative()}
+    if estimate.edge_weights is not None:
+        arrays["edge_weights"] = estimate.edge_weights
+    summary = {
+        "cost": estimate.cost,
+        "converged": estimate.converged,
+        "iterations": estimate.n_iterations,
+        "certified": certificate is not None and certificate.certified,
+        "gap_bound": None if certificate is None else certificate.gap_bound,
+        "starts_that_agree": f"{estimate.n_agreeing} of {estimate.n_starts}",
+    }
+    _write(options, arrays, summary, said, began)
+    return 0
+
+
+def run_sample(options: argparse.Namespace) -> int:
+    """Sample, diagnose and write."""
+    from fmsync.diagnostics import ess, rhat
+    from fmsync.problem import load_problem
+    from fmsync.samplers.sample import sample
+
+    _check(options)
+    problem, began = load_problem(options.problem), time.perf_counter()
+    with said_in_plain_words() as said:
+        chosen = {
+            name: getattr(options, name) for name in ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
+        }
+        post = sample(problem, options.method, rng=options.seed, **chosen)
+    if post.interrupted:
+        raise KeyboardInterrupt
+    arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
+    arrays["relative_mean"] = post.relative_mean()
+    summary = {
+        "chains": post.n_chains,
+        "draws": post.n_draws,
+        "energy": float(post.energy.mean()),
+        "r_hat": rhat(post.energy),
+        "ess": ess(post.energy),
+        "kappa": float(post.kappa.mean()),
+        "kappa_sd": float(post.kappa.std()),
+    }
+    _write(options, arrays, summary, said, began)
+    return 0
+
+
+@contextmanager
+def said_in_plain_words() -> Iterator[list[str]]:
+    """What was warned of inside, printed on stderr and listed, without the lines of code that Python adds."""
+    said: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield said
+    said += dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning | RuntimeWarning))
+    for line in said:
+        print(f"fmsync: warning: {line}", file=sys.stderr)
+
+
+def print_summary(summary: Mapping[str, object]) -> None:
+    """One line a number, for people."""
+    for name, value in summary.items():
+        text = "yes" if value is True else "no" if value is False else "-" if value is None else value
+        print(f"{name.replace('_', ' '):28}{f'{text:.6g}' if isinstance(text, float) else text}")
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.seed < 0:
+        raise ValueError(f"--seed: a whole number >= 0, got {options.seed}")
+    if options.output.suffix != ".npz" or options.output.is_dir() or not options.output.parent.is_dir():
+        raise ValueError(f"{options.output}: name a file that ends in .npz, in a folder that is there")
+    if not options.problem.is_file():
+        raise ValueError(f"{options.problem}: there is no such file")
+    if options.output.exists() and options.output.samefile(options.problem):
+        raise ValueError(f"{options.output}: it is the problem; name another file")
+
+
+def _write(
+    options: argparse.Namespace, arrays: Mapping[str, Any], summary: Mapping[str, object], said: list[str], began: float
+) -> None:
+    """The arrays into the output, whole or not at all, and the summary on stdout."""
+    import numpy as np
+
+    from fmsync.files import replacing
+
+    with replacing(options.output) as file:
+        np.savez(file, **arrays)
+    told = {"output": str(options.output), "method": options.method, **summary, "seconds": time.perf_counter() - began}
+    if options.json:
+        print(as_json(told | {"warnings": said}))
+    else:
+        print_summary(told)
+
+
+def as_json(told: object) -> str:
+    """Strict JSON: NaN and infinity, which it lacks, are null."""
+    return json.dumps(json.loads(json.dumps(told), parse_constant=lambda _: None), indent=1)
