@@ -18,6 +18,14 @@ if TYPE_CHECKING:
     from fmsync.shape import Shape
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
+_NAMING = """\
+A_to_B.SUFFIX, A and B names of meshes without their suffixes; A_to_B.1.SUFFIX, A_to_B.wks.SUFFIX and so on
+for several maps of a pair. What is in a file:
+  one number for each vertex of A   point map: the vertex of B, counted from zero, -1 for unmatched (npy csv txt mat)
+  sparse matrix (V_A, V_B)          soft map: rows sum to at most one (npz of scipy.sparse.save_npz, mat)
+  any other matrix (n_A, n_B)       functional map, from coefficients on B to those on A, in the bases of
+                                    fmsync.laplace_beltrami (npy csv txt mat)
+A mat file holds one of these as C or p2p. Any pairs that connect all meshes will do, in one direction or both."""
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
 
 
@@ -27,13 +35,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "sync",
         help="consistent correspondences of your own shapes, with a confidence on every vertex",
         description=__doc__,
-        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n\n"
+        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n"
+        f"  fmsync sync scans/ --maps maps/ -o matched\n\nfiles of --maps: {_NAMING}\n\n"
         "exit status: 0 done, 1 it failed, 2 wrong options or unusable files, 130 stopped by Ctrl-C.\n"
         "A run that was stopped goes on where it was when the command is given again.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
+    parser.add_argument("--maps", type=Path, metavar="FOLDER", help="maps of pairs to synchronise, from any matcher")
     parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
     parser.add_argument(
         "--calibration",
@@ -63,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
     from fmsync.matching import ConformalCalibration, synchronize_shapes
     from fmsync.matching.conformal import default_calibration
+    from fmsync.matching.map_files import read_maps
     from fmsync.matching.output import write_all
     from fmsync.matching.quality import quality_flags
     from fmsync.mesh_io import mesh_files, read_shape
@@ -78,10 +89,13 @@ def run(options: argparse.Namespace) -> int:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
+            sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
+            maps = None if options.maps is None else read_maps(options.maps, stems, sizes)
             landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             synced = synchronize_shapes(
                 shapes,
+                maps=maps,
                 n_basis=options.basis,
                 n_refined=options.refined,
                 n_samples=options.samples,

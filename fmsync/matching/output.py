@@ -19,10 +19,10 @@ _README = """\
 report.html         pictures of every pair and a summary; everything is in the one file
 maps.npz            refined (N, M, m) to shared functions: C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges;
                     names of the shapes
-point_maps/*.npy    NAME_to_{reference}.npy: for each vertex of NAME its vertex of {reference}
+point_maps/*.npy    A_to_B.npy, for every pair: for each vertex of A its vertex of B
 point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
-meshes/*.vtp, *.ply every shape with these numbers on its vertices, for ParaView and MeshLab
-edges.csv           every pair: how well distances and orientation are kept, its inlier weight
+meshes/*.vtp, *.ply every shape with those of its map to {reference} on its vertices, for ParaView and MeshLab
+edges.csv           every map: how well distances and orientation are kept, its inlier weight
 
 Lengths are in units of the square root of a shape's surface area.
 region      radius about the image that should hold the truth with probability {level:.0%}; learnt from: {fitted_on}.
@@ -30,27 +30,26 @@ expected    the error to be expected of the image: what to rank vertices by. Dro
 radius      radius that holds {level:.0%} of the posterior draws: the noise of the maps alone, smaller than region.
 spread      mean distance to where maps through other shapes lead.
 two_modes   two distant places have support, as on a left-right symmetric body.
-Any other pair: fmsync.synchronize_shapes(...).point_map(i, j).
 {flags}"""
 
 
 def write_all(
     synced: SyncedShapes, folder: Path, level: float, calibration: ConformalCalibration, progress: bool = False
 ) -> None:
-    """Write every file into an empty folder; point maps lead to the first shape, the report shows all pairs."""
+    """Write every file into an empty folder; scalars on meshes are those of the maps to the first shape."""
     reference, names = 0, synced.names
     for part in ("point_maps", "meshes"):
         (folder / part).mkdir()
     pairs = list(itertools.permutations(range(len(names)), 2))
-    known = {(i, j): synced.confidence(i, j, level) for i, j in tqdm(pairs, "confidence", disable=not progress)}
-    tables = {}
-    for i, name in enumerate(names):
-        if i == reference:
-            continue
-        tables[i] = _vertex_table(synced, i, reference, known[i, reference], calibration)
-        stem = folder / "point_maps" / f"{name}_to_{names[reference]}"
-        np.save(f"{stem}.npy", tables[i]["image"].to_numpy())
-        tables[i].to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
+    known, tables = {}, {}
+    for i, j in tqdm(pairs, "point maps", disable=not progress):
+        known[i, j] = synced.confidence(i, j, level)
+        table = _vertex_table(synced, i, j, known[i, j], calibration)
+        if j == reference:
+            tables[i] = table
+        stem = folder / "point_maps" / f"{names[i]}_to_{names[j]}"
+        np.save(f"{stem}.npy", table["image"].to_numpy(np.int32))
+        table.to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
@@ -89,11 +88,13 @@ def _vertex_table(
 
 
 def edge_table(synced: SyncedShapes) -> pd.DataFrame:
-    """Consistency of every pair."""
+    """Consistency of every pair, or of every given map."""
     weights = synced.estimate.edge_weights
     names = np.array(synced.names)
+    named = {"map": synced.map_names} if synced.map_names else {}
     return pd.DataFrame(
-        {
+        named
+        | {
             "first": names[synced.edges[:, 0]],
             "second": names[synced.edges[:, 1]],
             "distortion": [m.distortion for m in synced.matches],

@@ -31,7 +31,7 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
                 f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
                 "the regions are rough; ask for more draws."
             )
-    pairs = [f"{synced.names[i]}–{synced.names[j]}" for i, j in synced.edges[synced.violating]]
+    pairs = [synced.edge_names[e] for e in synced.violating]
     if pairs:
         said.append(
             f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."

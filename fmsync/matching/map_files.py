@@ -1,0 +1,75 @@
+"""Maps of pairs in a folder: ``A_to_B.npy`` and the like, A and B names of meshes."""
+
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import scipy.sparse as sp
+
+_SUFFIXES = (".npy", ".npz", ".csv", ".txt", ".mat")
+_PER_ENTRY, _HEADER = 32, 2**20  # bytes in a file, at most: for each entry of a full matrix, and besides
+
+
+def read_maps(folder: str | Path, names: Sequence[str], sizes: Sequence[int]) -> dict[tuple[int, int], dict[str, Any]]:
+    """Maps ``{(i, j): {name of the file: array}}`` of meshes with these names and numbers of vertices.
+
+    Files are named as ``fmsync sync --help`` says; one that is not, or cannot be read, is a ValueError that names it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: there is no such folder")
+    pairs: dict[str, list[tuple[int, int]]] = {}
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            pairs.setdefault(f"{a}_to_{b}", []).extend([(i, j)] * (i != j))
+    found: dict[tuple[int, int], dict[str, Any]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or not (path.suffix in _SUFFIXES or "_to_" in path.name):
+            continue
+        meant = pairs.get(path.stem) or pairs.get(path.stem.rpartition(".")[0]) or []
+        if len(meant) != 1 or path.suffix not in _SUFFIXES:
+            why = "could be of several pairs" if meant[1:] else "is not A_to_B of two meshes"
+            known = f"meshes are {', '.join(names)}; suffixes {', '.join(_SUFFIXES)}"
+            raise ValueError(f"{path}: its name {why}; rename it ({known})")
+        found.setdefault(meant[0], {})[path.name] = _read(path, sizes[meant[0][0]] * sizes[meant[0][1]])
+    if not found:
+        raise ValueError(f"{folder}: no maps in it; they are called A_to_B{', '.join(_SUFFIXES)}")
+    return found
+
+
+def _read(path: Path, entries: int) -> Any:
+    """The one array in a file; nothing larger than so many entries is taken in."""
+    most = _PER_ENTRY * entries + _HEADER
+    try:
+        announced = path.stat().st_size
+        if path.suffix == ".npz":
+            with zipfile.ZipFile(path) as packed:
+                announced = sum(part.file_size for part in packed.infolist())
+        elif path.suffix == ".mat":
+            held = [(name, shape) for name, shape, _ in scipy.io.whosmat(path) if name in ("C", "p2p")]
+            if len(held) != 1:
+                raise ValueError("it must hold one variable called C or p2p")
+            announced = _PER_ENTRY * int(np.prod(held[0][1], dtype=float))
+        if announced > most:
+            raise ValueError(f"{announced} bytes are too many for a map of these meshes")
+        if path.suffix == ".npy":
+            return np.load(path, mmap_mode="r", allow_pickle=False)  # refuses more than the file holds
+        if path.suffix in (".csv", ".txt"):
+            text = path.read_text(encoding="utf-8-sig")
+            return np.loadtxt(io.StringIO(text.replace(",", " ").replace(";", " ")))
+        array = (
+            sp.load_npz(path)
+            if path.suffix == ".npz"
+            else scipy.io.loadmat(path, variable_names=[held[0][0]])[held[0][0]]
+        )
+        if hasattr(array, "check_format"):
+            array.check_format(full_check=True)  # indices that lead outside would crash the process
+        return array
+    except Exception as error:  # readers of others raise whatever a damaged file makes them
+        raise ValueError(
+            f"{path}: cannot be read as a map ({error}); mend it, write it again or take it away"
+        ) from error

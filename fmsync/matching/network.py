@@ -1,0 +1,81 @@
+"""The network of maps: signs, robust synchronisation, which edges to trust, and posterior draws."""
+
+import warnings
+from collections.abc import Sequence
+
+import networkx as nx
+import numpy as np
+from tqdm import tqdm
+
+from fmsync import so
+from fmsync.estimators import Estimate, solve
+from fmsync.matching.pairwise import PairMatch
+from fmsync.matching.signs import rotation_signs
+from fmsync.problem import SyncProblem
+from fmsync.samplers import Posterior, sample
+
+
+def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
+    """(N, n) signs of all basis functions: the last one of a shape with -1 is flipped."""
+    flips = np.ones((len(signs), n))
+    flips[:, -1] = signs
+    return flips
+
+
+def flipped(maps: np.ndarray, edges: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Maps (E, n, n) between the bases with these signs."""
+    flips = basis_signs(signs, maps.shape[-1])
+    return flips[edges[:, 0]][:, :, None] * maps * flips[edges[:, 1]][:, None]
+
+
+def robust_maps(
+    count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
+) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
+    """Robust synchronisation of the matches: the estimate, signs, edges that violate them, and the problem solved."""
+    maps = np.array([m.c_ij[:n, :n] for m in matches])
+    signs, violating = rotation_signs(count, edges, maps)
+    problem = SyncProblem(count, edges, so.project(flipped(maps, edges, signs)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        if len(edges) < count:  # a tree has no cycle by which to tell a wrong edge
+            estimate = solve(problem, "mle", rng=rng)
+        else:  # to a part in a thousand: the maps are not better known than that
+            estimate = solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
+    return estimate, signs, violating, problem
+
+
+def trusted_edges(problem: SyncProblem, estimate: Estimate) -> np.ndarray:
+    """(E,) whether the robust estimate keeps an edge; all of them if without the others the graph falls apart."""
+    everything = np.ones(problem.n_edges, dtype=bool)
+    if estimate.edge_weights is None:
+        return everything
+    keep = estimate.edge_weights > 0.5
+    left = nx.Graph(problem.edges[keep].tolist())
+    connected = left.number_of_nodes() == problem.n_nodes and nx.is_connected(left)
+    return keep if connected else everything
+
+
+def posterior_draws(
+    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
+) -> Posterior:
+    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise.
+
+    Edges that are not trusted are left out.
+    """
+    keep = trusted_edges(problem, estimate)
+    problem = SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+    tree = problem.n_edges < problem.n_nodes
+    each = -(-n_draws // 4)
+    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
+        return sample(
+            problem,
+            "heat-bath",
+            kappa=20.0 if tree else "auto",
+            init=estimate,
+            n_chains=4,
+            n_draws=each,
+            warmup=300,
+            thin=4,
+            callback=lambda *_: bar.update(),
+            rng=rng,
+        )
