@@ -30,7 +30,7 @@ _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them st
 
 
 def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``sync`` to a parser."""
+    """Add ``sync`` and ``transfer`` to a parser."""
     parser = commands.add_parser(
         "sync",
         help="consistent correspondences of your own shapes, with a confidence on every vertex",
@@ -67,6 +67,74 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
     parser.set_defaults(run=run)
+    parser = commands.add_parser(
+        "transfer",
+        help="carry labels, functions or landmarks of one shape to all others, with how sure that is",
+        description="Write RESULT/NAME.csv for every other shape: for each vertex the most likely label and its "
+        "probability, or the mean and standard deviation of a function; for landmarks their images and the radii of "
+        "90%% regions, in square roots of the area.",
+        epilog="example:\n  fmsync transfer matched values.csv --on cat0 -o carried",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("synced", type=Path, metavar="OUT", help="folder that fmsync sync has written")
+    parser.add_argument(
+        "values",
+        type=Path,
+        metavar="VALUES",
+        help="csv file with names of columns and a row for each vertex: columns of numbers with decimal points are "
+        "functions, others labels. Or a single column 'vertex': landmarks, counted from zero",
+    )
+    parser.add_argument("--on", metavar="NAME", help="shape that VALUES belong to (default: the first)")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="RESULT", help="folder, new or empty")
+    parser.set_defaults(run=run_transfer)
+
+
+def run_transfer(options: argparse.Namespace) -> int:
+    """Carry the columns of a table to every other shape of a collection."""
+    import numpy as np
+    import pandas as pd
+
+    from fmsync.matching import load_synced, transfer, transfer_landmarks
+
+    if not options.values.is_file():
+        raise ValueError(f"{options.values}: there is no such file")
+    with _working_folder(options.output) as work:
+        try:
+            given = pd.read_csv(options.values)
+        except ValueError as error:
+            raise ValueError(f"{options.values}: cannot be read as a table ({error})") from error
+        synced = load_synced(options.synced)
+        names = synced.names
+        if options.on is not None and options.on not in names:
+            raise ValueError(f"--on: {options.on!r} is none of the shapes {', '.join(names)}")
+        i = 0 if options.on is None else names.index(options.on)
+        found: list[dict[str, np.ndarray]] = [{} for _ in names]
+        if list(given) == ["vertex"]:
+            for table, (image, region) in zip(found, transfer_landmarks(synced, i, given["vertex"])):
+                table |= {"vertex": given["vertex"].to_numpy(), "image": image, "region": region}
+        for name in [] if list(given) == ["vertex"] else given:
+            column = given[name].to_numpy()
+            for table, carried in zip(
+                found, transfer(synced, i, column.astype(str) if column.dtype == object else column)
+            ):
+                if carried.labels is None:
+                    table |= {name: carried.mean[:, 0], f"{name}_std": carried.std[:, 0]}
+                else:
+                    table |= {name: carried.most_likely, f"{name}_probability": carried.mean.max(axis=1)}
+        folder = work / "output"
+        folder.mkdir()
+        for j in set(range(len(names))) - {i}:
+            pd.DataFrame(found[j]).to_csv(folder / f"{names[j]}.csv", index=False, float_format="%.5g")
+        _publish(work, options.output)
+    print(f"{options.output}: a table for each of {len(names) - 1} shapes")
+    return 0
+
+
+def _publish(work: Path, output: Path) -> None:
+    """Move what is finished to its place."""
+    for part in (work / "output").iterdir():
+        os.replace(part, output / part.name)
+    shutil.rmtree(work)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -111,9 +179,7 @@ def run(options: argparse.Namespace) -> int:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         write_all(synced, folder, options.level, calibration, progress=progress)
-        for part in folder.iterdir():
-            os.replace(part, options.output / part.name)
-        shutil.rmtree(work)
+        _publish(work, options.output)
     said = list(dict.fromkeys([*quality_flags(synced), *_unsaid(caught)]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)

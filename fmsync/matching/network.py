@@ -35,24 +35,30 @@ def robust_maps(
     maps = np.array([m.c_ij[:n, :n] for m in matches])
     signs, violating = rotation_signs(count, edges, maps)
     problem = SyncProblem(count, edges, so.project(flipped(maps, edges, signs)))
+    return robust_estimate(problem, rng), signs, violating, problem
+
+
+def robust_estimate(problem: SyncProblem, rng: int | np.random.Generator) -> Estimate:
+    """To a part in a thousand, maps are not better known than that; of a tree, which tells no wrong edge, the MLE."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        if len(edges) < count:  # a tree has no cycle by which to tell a wrong edge
-            estimate = solve(problem, "mle", rng=rng)
-        else:  # to a part in a thousand: the maps are not better known than that
-            estimate = solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
-    return estimate, signs, violating, problem
+        if problem.n_edges < problem.n_nodes:
+            return solve(problem, "mle", rng=rng)
+        return solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
 
 
 def trusted_edges(problem: SyncProblem, estimate: Estimate) -> np.ndarray:
     """(E,) whether the robust estimate keeps an edge; all of them if without the others the graph falls apart."""
-    everything = np.ones(problem.n_edges, dtype=bool)
-    if estimate.edge_weights is None:
-        return everything
-    keep = estimate.edge_weights > 0.5
+    keep = inlier_weights(estimate) > 0.5
     left = nx.Graph(problem.edges[keep].tolist())
     connected = left.number_of_nodes() == problem.n_nodes and nx.is_connected(left)
-    return keep if connected else everything
+    return keep if connected else np.ones_like(keep)
+
+
+def inlier_weights(estimate: Estimate) -> np.ndarray:
+    """(E,) of an estimate that need not have any: then they are 1."""
+    weights = estimate.edge_weights
+    return np.ones(estimate.problem.n_edges) if weights is None else weights
 
 
 def posterior_draws(

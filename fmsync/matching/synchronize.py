@@ -212,20 +212,28 @@ def synchronize_shapes(
         raise ValueError(
             f"n_basis = {n_basis}: lower it to n_refined = {n_refined} and n_samples = {n_samples} at most"
         )
-    _check_shapes(shapes, n_refined)
-    marks = [None] * len(shapes) if landmarks is None else _checked_landmarks(landmarks, shapes, n_samples)
+    check_shapes(shapes, n_refined)
+    marks = [None] * len(shapes) if landmarks is None else checked_landmarks(landmarks, shapes, n_samples)
     if bases if maps is None else graph != "complete":
         raise ValueError("bases, graph: the one belongs to given maps, the other to shapes without; leave it out")
     given = () if maps is None else checked_maps(maps, shapes, bases, n_basis)
     pairs = np.array([(g.i, g.j) for g in given]) if given else _checked_graph(graph, len(shapes))
-    each = _parallel(jobs, progress)
+    each = parallel(jobs, progress)
     sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
-    _refuse_outlier_shapes(sampled)
+    refuse_outlier_shapes(sampled)
     edges = _neighbours(sampled, pairs) if isinstance(pairs, int) else pairs
     if given:
         matches = given_matches(given, sampled, bases)
     else:
-        matches = _matched(each, sampled, edges, n_basis, checkpoint, rng)
+        light = [s.light(FINE) for s in sampled]
+        matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
+        _refuse_mirrored(sampled, edges, matches)
+
+        def proposed(found: list[PairMatch]) -> np.ndarray:
+            estimate, signs, _, _ = robust_maps(len(shapes), edges, found, n_basis, rng)
+            return flipped(estimate.relative(), edges, signs)
+
+        matches = with_proposals(each, light, edges, matches, proposed)
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
     posterior = posterior_draws(problem, estimate, n_draws, rng, progress) if n_draws else None
     used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if given else np.arange(len(edges))
@@ -237,7 +245,8 @@ def synchronize_shapes(
     )
 
 
-def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
+def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
+    """Refuse too few shapes or vertices, and meshes that are mirrored or inside out while others are not."""
     if len(shapes) < 2:
         raise ValueError(f"shapes: {len(shapes)} given, correspondences need at least two")
     volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
@@ -257,7 +266,7 @@ def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
         )
 
 
-def _checked_landmarks(
+def checked_landmarks(
     landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int
 ) -> Sequence[np.ndarray]:
     """The vertices (L,) of each shape."""
@@ -296,7 +305,7 @@ def _checked_graph(graph: str | Sequence[tuple[int, int]], count: int) -> np.nda
         raise ValueError(f"graph: {what}; give pairs of different shapes 0..{count - 1} that connect all") from None
 
 
-def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
+def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
     """Call a function with each of some arguments, in so many processes, under a bar with a name."""
     # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
     run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
@@ -308,7 +317,7 @@ def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], S
     return each
 
 
-def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
+def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
     """ValueError that names the shape whose spectrum is far from the rest."""
     logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
     apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
@@ -323,22 +332,17 @@ def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
         )
 
 
-def _matched(
+def with_proposals(
     each: Callable[..., list[Any]],
-    shapes: Sequence[SampledShape],
+    light: Sequence[SampledShape],
     edges: np.ndarray,
-    n_basis: int,
-    checkpoint: str | Path | None,
-    rng: np.random.Generator,
+    matches: list[PairMatch],
+    propose: Callable[[list[PairMatch]], np.ndarray],
 ) -> list[PairMatch]:
-    """Maps of the edges from descriptors, or synchronised ones where these keep distances better."""
-    light = [s.light(FINE) for s in shapes]
-    matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
-    _refuse_mirrored(shapes, edges, matches)
+    """Maps of the edges, or what the network proposes for them (E, n, n) where that keeps distances better."""
     for k in range(ROUNDS):
-        estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
-        proposed = zip(edges, flipped(estimate.relative(), edges, signs))
-        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, [(light[i], light[j], c) for (i, j), c in proposed])
+        proposed = [(light[i], light[j], c) for (i, j), c in zip(edges, propose(matches))]
+        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, proposed)
         matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
     return matches
 
