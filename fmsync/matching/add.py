@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
 from fmsync.matching.latent import map_from_values
@@ -48,6 +48,7 @@ def add_shape(
     >>> fmsync.matching.add_shape(synced, last).point_map(2, 0).shape
     (1000,)
     """
+    neighbours = None if neighbours is None else checks.count("neighbours", neighbours)
     rng, old, n, before = np.random.default_rng(rng), synced.shapes, synced.problem.n, len(synced.edges)
     if shape.name in synced.names:
         shape = replace(shape, name=f"{shape.name} (shape {len(old)})")
