@@ -120,7 +120,10 @@ def run_transfer(options: argparse.Namespace) -> int:
                 if carried.labels is None:
                     table |= {name: carried.mean[:, 0], f"{name}_std": carried.std[:, 0]}
                 else:
-                    table |= {name: carried.most_likely, f"{name}_probability": carried.mean.max(axis=1)}
+                    table |= {
+                        name: carried.labels[carried.mean.argmax(axis=1)],
+                        f"{name}_probability": carried.mean.max(axis=1),
+                    }
         folder = work / "output"
         folder.mkdir()
         for j in set(range(len(names))) - {i}:

@@ -9,7 +9,7 @@ from fmsync.matching.confidence import Confidence  # noqa: E402
 from fmsync.matching.conformal import ConformalCalibration, fit_conformal  # noqa: E402
 from fmsync.matching.output import load_synced  # noqa: E402
 from fmsync.matching.synchronize import SyncedShapes, synchronize_shapes  # noqa: E402
-from fmsync.matching.transfer import transfer, transfer_landmarks  # noqa: E402
+from fmsync.matching.transferred import transfer, transfer_landmarks  # noqa: E402
 
 __all__ = [
     "Confidence",

@@ -35,6 +35,8 @@ def checked_maps(
     """Every map of every pair; what does not fit the shapes is a ValueError that names the map and what to do."""
     if bases is not None:
         _check_bases(bases, shapes, n_basis)
+    if not isinstance(maps, Mapping):
+        raise ValueError("maps: give a dict {(i, j): map}")
     given, graph, numbers = [], nx.empty_graph(len(shapes)), range(len(shapes))
     for pair, value in maps.items():
         if not isinstance(pair, tuple) or len(pair) != 2 or pair[0] == pair[1] or not {*pair} <= {*numbers}:

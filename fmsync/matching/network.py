@@ -55,6 +55,12 @@ def trusted_edges(problem: SyncProblem, estimate: Estimate) -> np.ndarray:
     return keep if connected else np.ones_like(keep)
 
 
+def trusted_part(problem: SyncProblem, estimate: Estimate, used: np.ndarray) -> SyncProblem:
+    """What the posterior is of: those of some edges (U,) that are trusted."""
+    keep = used[trusted_edges(problem, estimate)[used]]
+    return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+
+
 def inlier_weights(estimate: Estimate) -> np.ndarray:
     """(E,) of an estimate that need not have any: then they are 1."""
     weights = estimate.edge_weights
@@ -64,12 +70,7 @@ def inlier_weights(estimate: Estimate) -> np.ndarray:
 def posterior_draws(
     problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
 ) -> Posterior:
-    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise.
-
-    Edges that are not trusted are left out.
-    """
-    keep = trusted_edges(problem, estimate)
-    problem = SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
     tree = problem.n_edges < problem.n_nodes
     each = -(-n_draws // 4)
     with tqdm(desc="posterior", total=each, disable=not progress) as bar:

@@ -13,7 +13,7 @@ from fmsync.estimators import Estimate
 from fmsync.extras import require
 from fmsync.matching.confidence import Confidence, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration
-from fmsync.matching.network import inlier_weights, trusted_edges
+from fmsync.matching.network import inlier_weights, trusted_part
 from fmsync.matching.pairwise import PairMatch
 from fmsync.matching.quality import quality_flags
 from fmsync.matching.report import report
@@ -109,8 +109,7 @@ def load_synced(folder: str | Path) -> SyncedShapes:
             shapes.append(sample_shape(shape, len(basis[0]), size, problem.n, marks, Basis(*basis)))
         matches = tuple(PairMatch(data[f"c_ij_{e}"], *map(float, row)) for e, row in enumerate(data["scores"]))
         estimate = Estimate.from_absolute(problem, data["absolute"], "robust", edge_weights=data["weights"])
-        keep, energy = trusted_edges(problem, estimate), data["energy"]
-        trusted = SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+        energy, trusted = data["energy"], trusted_part(problem, estimate, data["used"])
         draws = data["draws"].astype(float).reshape(*energy.shape, *data["absolute"].shape)
         posterior = Posterior(trusted, "heat-bath", draws, energy, data["kappa"], False, {"likelihood": "langevin"})
         rest = data["refined"], tuple(map(str, data["map_names"])), data["used"]

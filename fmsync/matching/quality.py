@@ -47,7 +47,7 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
             "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. Give "
             "meshes or landmarks."
         )
-    if len(synced.edges) < len(synced.shapes):
+    if len(synced.used) < len(synced.shapes):
         said.append(
             "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
             "use a graph with more pairs."

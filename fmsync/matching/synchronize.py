@@ -22,7 +22,7 @@ from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import Confidence, confidence
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
-from fmsync.matching.network import basis_signs, flipped, posterior_draws, robust_maps, trusted_edges
+from fmsync.matching.network import basis_signs, flipped, posterior_draws, robust_maps, trusted_edges, trusted_part
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.problem import SyncProblem
@@ -57,7 +57,7 @@ class SyncedShapes:
     map_names
         Of given maps, one for each edge; empty where the shapes were matched.
     used
-        (U,) edges whose maps carry points: all, or of given ones the best of each pair among those that are trusted.
+        (U,) edges whose maps carry points: all, or of given maps those of least cost of each pair that are trusted.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -169,7 +169,8 @@ def synchronize_shapes(
 
     Given maps are data and none is replaced by a proposal: on cats with a fifth of the pairs mirrored or shuffled that
     made points no better, and would hide which maps are wrong. Those that the others contradict get an inlier weight
-    near 0 in ``estimate.edge_weights`` and are left out of the posterior and of the points.
+    near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best of each pair: errors of several
+    maps of one pair are not independent.
 
     Parameters
     ----------
@@ -235,8 +236,9 @@ def synchronize_shapes(
 
         matches = with_proposals(each, light, edges, matches, proposed)
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
-    posterior = posterior_draws(problem, estimate, n_draws, rng, progress) if n_draws else None
     used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if given else np.arange(len(edges))
+    part = trusted_part(problem, estimate, used)
+    posterior = posterior_draws(part, estimate, n_draws, rng, progress) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used])
     steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
     refined, names_of_maps = upsample(sampled, edges[used], start, steps), tuple(g.name for g in given)

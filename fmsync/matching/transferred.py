@@ -19,19 +19,13 @@ _DRAWS = 100
 class Transferred:
     """A function on a shape, ``mean`` (V, K) and ``std`` (V, K) at its vertices.
 
-    Where ``labels`` (L,) were carried, ``mean`` (V, L) is the probability of each; None where functions were.
+    Where ``labels`` (L,) were carried, ``mean`` (V, L) is the probability of each, so that the most likely ones are
+    ``labels[mean.argmax(axis=1)]``; None where functions were.
     """
 
     mean: np.ndarray
     std: np.ndarray
     labels: np.ndarray | None
-
-    @property
-    def most_likely(self) -> np.ndarray:
-        """(V,) labels (ValueError for functions)."""
-        if self.labels is None:
-            raise ValueError("labels: functions were carried, not labels; read mean and std")
-        return self.labels[self.mean.argmax(axis=1)]
 
 
 def transfer(
