@@ -70,20 +70,14 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "transfer",
         help="carry labels, functions or landmarks of one shape to all others, with how sure that is",
-        description="Write RESULT/NAME.csv for every other shape: for each vertex the most likely label and its "
-        "probability, or the mean and standard deviation of a function; for landmarks their images and the radii of "
-        "90%% regions, in square roots of the area.",
-        epilog="example:\n  fmsync transfer matched values.csv --on cat0 -o carried",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="A table RESULT/NAME.csv for every other shape: likely labels and their probability, means and "
+        "standard deviations of functions, or images of landmarks and the radii of 90%% regions, in roots of the area.",
+        epilog="example: fmsync transfer matched values.csv --on cat0 -o carried",
     )
     parser.add_argument("synced", type=Path, metavar="OUT", help="folder that fmsync sync has written")
-    parser.add_argument(
-        "values",
-        type=Path,
-        metavar="VALUES",
-        help="csv file with names of columns and a row for each vertex: columns of numbers with decimal points are "
-        "functions, others labels. Or a single column 'vertex': landmarks, counted from zero",
-    )
+    columns = "csv with named columns and a row a vertex; decimal points make functions, anything else labels; or "
+    columns += "landmarks, a column 'vertex' alone that counts from zero"
+    parser.add_argument("values", type=Path, metavar="VALUES", help=columns)
     parser.add_argument("--on", metavar="NAME", help="shape that VALUES belong to (default: the first)")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="RESULT", help="folder, new or empty")
     parser.set_defaults(run=run_transfer)
@@ -91,45 +85,39 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run_transfer(options: argparse.Namespace) -> int:
     """Carry the columns of a table to every other shape of a collection."""
-    import numpy as np
     import pandas as pd
 
     from fmsync.matching import load_synced, transfer, transfer_landmarks
 
-    if not options.values.is_file():
-        raise ValueError(f"{options.values}: there is no such file")
     with _working_folder(options.output) as work:
         try:
             given = pd.read_csv(options.values)
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             raise ValueError(f"{options.values}: cannot be read as a table ({error})") from error
         synced = load_synced(options.synced)
-        names = synced.names
-        if options.on is not None and options.on not in names:
-            raise ValueError(f"--on: {options.on!r} is none of the shapes {', '.join(names)}")
-        i = 0 if options.on is None else names.index(options.on)
-        found: list[dict[str, np.ndarray]] = [{} for _ in names]
+        if options.on not in (None, *synced.names):
+            raise ValueError(f"--on: {options.on!r} is none of the shapes {', '.join(synced.names)}")
+        i = synced.names.index(options.on or synced.names[0])
+        tables = [pd.DataFrame() for _ in synced.names]
         if list(given) == ["vertex"]:
-            for table, (image, region) in zip(found, transfer_landmarks(synced, i, given["vertex"])):
-                table |= {"vertex": given["vertex"].to_numpy(), "image": image, "region": region}
-        for name in [] if list(given) == ["vertex"] else given:
-            column = given[name].to_numpy()
-            for table, carried in zip(
-                found, transfer(synced, i, column.astype(str) if column.dtype == object else column)
-            ):
+            for table, (image, region) in zip(tables, transfer_landmarks(synced, i, given["vertex"])):
+                table["vertex"], table["image"], table["region"] = given["vertex"], image, region
+            given = given.drop(columns="vertex")
+        for name, column in given.items():
+            values = column.to_numpy()
+            values = values.astype(str) if values.dtype == object else values
+            for table, carried in zip(tables, transfer(synced, i, values)):
                 if carried.labels is None:
-                    table |= {name: carried.mean[:, 0], f"{name}_std": carried.std[:, 0]}
+                    table[name], table[f"{name}_std"] = carried.mean[:, 0], carried.std[:, 0]
                 else:
-                    table |= {
-                        name: carried.labels[carried.mean.argmax(axis=1)],
-                        f"{name}_probability": carried.mean.max(axis=1),
-                    }
-        folder = work / "output"
-        folder.mkdir()
-        for j in set(range(len(names))) - {i}:
-            pd.DataFrame(found[j]).to_csv(folder / f"{names[j]}.csv", index=False, float_format="%.5g")
+                    table[name] = carried.labels[carried.mean.argmax(axis=1)]
+                    table[f"{name}_probability"] = carried.mean.max(axis=1)
+        (work / "output").mkdir()
+        for j, name in enumerate(synced.names):
+            if j != i:
+                tables[j].to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
         _publish(work, options.output)
-    print(f"{options.output}: a table for each of {len(names) - 1} shapes")
+    print(f"{options.output}: a table for each of {len(synced.names) - 1} shapes")
     return 0
 
 

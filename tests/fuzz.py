@@ -7,6 +7,7 @@ to ``tests/broken``, where ``tests/test_broken.py`` reads it ever after. Exit st
 
 import argparse
 import contextlib
+import io
 import multiprocessing
 import resource
 import signal
@@ -18,9 +19,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scipy.io
+import scipy.sparse
 
 import fmsync
-from fmsync.matching import ConformalCalibration
+from fmsync.matching import ConformalCalibration, given_maps, map_files
 from fmsync.mesh_io import read_shape
 
 BROKEN = Path(__file__).with_name("broken")
@@ -28,6 +31,11 @@ SECONDS, MEGABYTES = 2, 1024
 NUMBERS = [b"nan", b"inf", b"-1", b"1e400", b"3e8", b"1,5", b"0x1", b"null", b"999999999999", b"", b"2147483648", b"-0"]
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]])
 CORNERS = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+
+
+def read_map(path: Path) -> object:
+    """A map between shapes of eight vertices, read and checked."""
+    return given_maps._checked(map_files._read(path, 64), (8, 8), (8, 8), 2)
 
 
 def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
@@ -52,7 +60,18 @@ def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
         fmsync.save_problem(fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], maps), problem)
         ConformalCalibration("x", 1.0, (0.5, 0.9), (1.0, 2.0)).save(calibration)
         packed, written = problem.read_bytes(), calibration.read_bytes()
+    functional, numbers, text = np.random.default_rng(0).standard_normal((5, 5)), np.arange(8), io.BytesIO()
+    arrays, matrices = [io.BytesIO(), io.BytesIO()], [io.BytesIO(), io.BytesIO(), io.BytesIO()]
+    np.save(arrays[0], functional)
+    np.save(arrays[1], numbers)
+    np.savetxt(text, functional, delimiter=",")
+    scipy.io.savemat(matrices[0], {"C": functional})
+    scipy.io.savemat(matrices[1], {"p2p": numbers}, do_compression=True)
+    scipy.io.savemat(matrices[2], {"C": scipy.sparse.csc_matrix(0.5 * np.eye(8))})
     return {
+        ".npy": (read_map, [file.getvalue() for file in arrays]),
+        ".csv": (read_map, [text.getvalue()]),
+        ".mat": (read_map, [file.getvalue() for file in matrices]),
         ".off": (read_shape, [f"OFF\n5 6 0\n{points}{faces}".encode(), f"COFF 5 6 0\n# c\n{points}{faces}".encode()]),
         ".obj": (
             read_shape,

@@ -76,9 +76,10 @@ def _packed(synced: SyncedShapes) -> dict[str, Any]:
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
     packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "violating", "used", "names")}
+    packed |= {name: getattr(synced.posterior, name) for name in ("energy", "kappa")}
     packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
-    packed |= {"energy": synced.posterior.energy, "kappa": synced.posterior.kappa, "observed": synced.problem.maps}
-    packed |= {"weights": inlier_weights(synced.estimate), "map_names": np.array(synced.map_names, dtype=str)}
+    packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
+    packed |= {"map_names": np.array(synced.map_names, dtype=str)}
     packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion) for m in synced.matches]
     packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
     for k, s in enumerate(synced.shapes):

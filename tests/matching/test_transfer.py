@@ -124,7 +124,7 @@ def test_the_command_refuses_in_one_line_and_leaves_nothing(written, tmp_path, c
         (written.folder, values, (), "for the 1000 vertices of cat0"),
         (written.folder, values, ("--on", "dog"), "--on: 'dog' is none of the shapes cat0, cat1, cat2"),
         (written.folder, empty, (), "empty: cannot be read as a table"),
-        (written.folder, tmp_path / "none.csv", (), "no such file"),
+        (written.folder, tmp_path / "none.csv", (), "none.csv: cannot be read as a table"),
         (tmp_path, values, (), "name a folder that fmsync sync has written"),
         (damaged, values, (), "damaged, or of another version"),
     ):
