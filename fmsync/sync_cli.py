@@ -18,22 +18,32 @@ if TYPE_CHECKING:
     from fmsync.shape import Shape
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
+_NAMING = """\
+A_to_B.SUFFIX, A and B names of meshes without their suffixes; A_to_B.1.SUFFIX, A_to_B.wks.SUFFIX and so on
+for several maps of a pair. What is in a file:
+  one number for each vertex of A   point map: the vertex of B, counted from zero, -1 for unmatched (npy csv txt mat)
+  sparse matrix (V_A, V_B)          soft map: rows sum to at most one (npz of scipy.sparse.save_npz, mat)
+  any other matrix (n_A, n_B)       functional map, from coefficients on B to those on A, in the bases of
+                                    fmsync.laplace_beltrami (npy csv txt mat)
+A mat file holds one of these as C or p2p. Any pairs that connect all meshes will do, in one direction or both."""
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
 
 
 def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``sync`` to a parser."""
+    """Add ``sync`` and ``transfer`` to a parser."""
     parser = commands.add_parser(
         "sync",
         help="consistent correspondences of your own shapes, with a confidence on every vertex",
         description=__doc__,
-        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n\n"
+        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n"
+        f"  fmsync sync scans/ --maps maps/ -o matched\n\nfiles of --maps: {_NAMING}\n\n"
         "exit status: 0 done, 1 it failed, 2 wrong options or unusable files, 130 stopped by Ctrl-C.\n"
         "A run that was stopped goes on where it was when the command is given again.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
+    parser.add_argument("--maps", type=Path, metavar="FOLDER", help="maps of pairs to synchronise, from any matcher")
     parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
     parser.add_argument(
         "--calibration",
@@ -57,12 +67,72 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
     parser.set_defaults(run=run, stopped="stopped; what is finished is kept, give the same command again to go on")
+    parser = commands.add_parser(
+        "transfer",
+        help="carry labels, functions or landmarks of one shape to all others, with how sure that is",
+        description="A table RESULT/NAME.csv for every other shape: likely labels and their probability, means and "
+        "standard deviations of functions, or images of landmarks and the radii of 90%% regions, in roots of the area.",
+        epilog="example: fmsync transfer matched values.csv --on cat0 -o carried",
+    )
+    parser.add_argument("synced", type=Path, metavar="OUT", help="folder that fmsync sync has written")
+    columns = "csv with named columns and a row a vertex; decimal points make functions, anything else labels; or "
+    columns += "landmarks, a column 'vertex' alone that counts from zero"
+    parser.add_argument("values", type=Path, metavar="VALUES", help=columns)
+    parser.add_argument("--on", metavar="NAME", help="shape that VALUES belong to (default: the first)")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="RESULT", help="folder, new or empty")
+    parser.set_defaults(run=run_transfer, stopped="stopped")
+
+
+def run_transfer(options: argparse.Namespace) -> int:
+    """Carry the columns of a table to every other shape of a collection."""
+    import pandas as pd
+
+    from fmsync.matching import load_synced, transfer, transfer_landmarks
+
+    with _working_folder(options.output) as work:
+        try:
+            given = pd.read_csv(options.values)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{options.values}: cannot be read as a table ({error})") from error
+        synced = load_synced(options.synced)
+        if options.on not in (None, *synced.names):
+            raise ValueError(f"--on: {options.on!r} is none of the shapes {', '.join(synced.names)}")
+        i = synced.names.index(options.on or synced.names[0])
+        tables = [pd.DataFrame() for _ in synced.names]
+        if list(given) == ["vertex"]:
+            for table, (image, region) in zip(tables, transfer_landmarks(synced, i, given["vertex"])):
+                table["vertex"], table["image"], table["region"] = given["vertex"], image, region
+            given = given.drop(columns="vertex")
+        for name, column in given.items():
+            values = column.to_numpy()
+            values = values.astype(str) if values.dtype == object else values
+            for table, carried in zip(tables, transfer(synced, i, values)):
+                if carried.labels is None:
+                    table[name], table[f"{name}_std"] = carried.mean[:, 0], carried.std[:, 0]
+                else:
+                    table[name] = carried.labels[carried.mean.argmax(axis=1)]
+                    table[f"{name}_probability"] = carried.mean.max(axis=1)
+        (work / "output").mkdir()
+        for j, name in enumerate(synced.names):
+            if j != i:
+                tables[j].to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
+        _publish(work, options.output)
+    print(f"{options.output}: a table for each of {len(synced.names) - 1} shapes")
+    return 0
+
+
+def _publish(work: Path, output: Path) -> None:
+    """Move what is finished to its place."""
+    for part in (work / "output").iterdir():
+        os.replace(part, output / part.name)
+    shutil.rmtree(work)
 
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
     from fmsync.matching import ConformalCalibration, synchronize_shapes
     from fmsync.matching.conformal import default_calibration
+    from fmsync.matching.map_files import read_maps
     from fmsync.matching.output import write_all
     from fmsync.matching.quality import quality_flags
     from fmsync.mesh_io import mesh_files, read_shape
@@ -78,10 +148,13 @@ def run(options: argparse.Namespace) -> int:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
+            sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
+            maps = None if options.maps is None else read_maps(options.maps, stems, sizes)
             landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             synced = synchronize_shapes(
                 shapes,
+                maps=maps,
                 n_basis=options.basis,
                 n_refined=options.refined,
                 n_samples=options.samples,
@@ -97,9 +170,7 @@ def run(options: argparse.Namespace) -> int:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         write_all(synced, folder, options.level, calibration, progress=progress)
-        for part in folder.iterdir():
-            os.replace(part, options.output / part.name)
-        shutil.rmtree(work)
+        _publish(work, options.output)
     said = list(dict.fromkeys([*quality_flags(synced), *_unsaid(caught)]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)

@@ -7,6 +7,7 @@ to ``tests/broken``, where ``tests/test_broken.py`` reads it ever after. Exit st
 
 import argparse
 import contextlib
+import io
 import multiprocessing
 import os
 import resource
@@ -19,11 +20,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scipy.io
+import scipy.sparse
 
 import fmsync
 from bench import results
 from data_gen.cache import arithmetic, cached, checksum
-from fmsync.matching import ConformalCalibration
+from fmsync.matching import ConformalCalibration, given_maps, map_files
 from fmsync.mesh_io import read_shape
 
 BROKEN = Path(__file__).with_name("broken")
@@ -48,6 +51,11 @@ def read_cache(path: Path) -> None:
     found = cached("mutant", lambda: {"x": np.arange(40.0)})
     if (found["x"] != np.arange(40)).any():
         raise RuntimeError("damaged numbers came out of the cache")
+
+
+def read_map(path: Path) -> object:
+    """A map between shapes of eight vertices, read and checked."""
+    return given_maps._checked(map_files._read(path, 64), (8, 8), (8, 8), 2)
 
 
 def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
@@ -79,7 +87,18 @@ def good_files() -> dict[str, tuple[Callable[[Path], object], list[bytes]]]:
         run |= {"status": "ok", "metrics": [["error", None, 0.5]], "commit": "c", "machine": "m", "versions": "v"}
         results.write(results.to_frame("s", [run, run | {"seed": 1}]), table)
         kept, tabled = entry.read_bytes(), table.read_bytes()
+    functional, numbers, text = np.random.default_rng(0).standard_normal((5, 5)), np.arange(8), io.BytesIO()
+    arrays, matrices = [io.BytesIO(), io.BytesIO()], [io.BytesIO(), io.BytesIO(), io.BytesIO()]
+    np.save(arrays[0], functional)
+    np.save(arrays[1], numbers)
+    np.savetxt(text, functional, delimiter=",")
+    scipy.io.savemat(matrices[0], {"C": functional})
+    scipy.io.savemat(matrices[1], {"p2p": numbers}, do_compression=True)
+    scipy.io.savemat(matrices[2], {"C": scipy.sparse.csc_matrix(0.5 * np.eye(8))})
     return {
+        ".npy": (read_map, [file.getvalue() for file in arrays]),
+        ".csv": (read_map, [text.getvalue()]),
+        ".mat": (read_map, [file.getvalue() for file in matrices]),
         ".off": (read_shape, [f"OFF\n5 6 0\n{points}{faces}".encode(), f"COFF 5 6 0\n# c\n{points}{faces}".encode()]),
         ".obj": (
             read_shape,

@@ -11,7 +11,7 @@ from data_gen import GroundTruth, perturb
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal
 from fmsync.matching.conformal import default_calibration
-from fmsync.matching.synchronize import basis_signs
+from fmsync.matching.network import basis_signs
 from fmsync.shape import Shape
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)

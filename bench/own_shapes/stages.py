@@ -8,7 +8,7 @@ import fmsync
 from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pairs
 from bench.studies import cpu_seconds
 from fmsync.functional_maps import nearest_rows
-from fmsync.matching import SyncedShapes, synchronize
+from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, improve, match, zoomout
 from fmsync.matching.samples import farthest_points
@@ -51,8 +51,8 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     seconds: dict[str, float] = {}
 
     def synchronised(matches):
-        estimate, signs, _, problem = synchronize.robust_maps(len(shapes), edges, matches, n, rng)
-        turn = synchronize.basis_signs(signs, n)[:, None]
+        estimate, signs, _, problem = network.robust_maps(len(shapes), edges, matches, n, rng)
+        turn = network.basis_signs(signs, n)[:, None]
         return estimate.absolute * turn, problem, turn
 
     def relative(absolute) -> Callable:

@@ -86,10 +86,7 @@ def confidence(
     votes
         (W, S_i) samples of j according to the observed map and to compositions of two observed maps.
     """
-    n, g = draws.shape[-1], second.geodesics
-    at_i, at_j = first.sampled()[:, :n], second.sampled()[:, :n]
-    with single_threaded_blas():
-        hits = nearest_rows((at_i @ draws).reshape(-1, n), at_j).reshape(len(draws), -1)  # (T, S_i)
+    g, hits = second.geodesics, draw_images(first, second, draws)
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)
     np.add.at(counts, (np.arange(len(image)), hits), 1)
     share = counts / len(draws)
@@ -108,6 +105,14 @@ def confidence(
         local_distortion=local_distortion(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
     )
+
+
+def draw_images(first: SampledShape, second: SampledShape, draws: np.ndarray) -> np.ndarray:
+    """(T, S_i) samples of j where draws (T, n, n) of C_ij send the samples of i."""
+    n = draws.shape[-1]
+    with single_threaded_blas():
+        moved = (first.sampled()[:, :n] @ draws).reshape(-1, n)
+        return nearest_rows(moved, second.sampled()[:, :n]).reshape(len(draws), -1)
 
 
 def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

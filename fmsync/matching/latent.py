@@ -82,14 +82,20 @@ def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray
             at = [s.sampled()[:, :size] for s in shapes]
             back = [np.linalg.pinv(phi) for phi in at]
             values = [phi[:, :k] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
-            maps = np.empty((len(edges), size, size))
-            for e, (i, j) in enumerate(edges):
-                there, again = nearest_rows(values[i], values[j]), nearest_rows(values[j], values[i])
-                both = back[i] @ at[j][there], (back[j] @ at[i][again]).T
-                maps[e] = min(both, key=lambda c: np.linalg.norm(c.T @ c - np.eye(size)))
+            maps = np.array([map_from_values(*([x[i], x[j]] for x in (at, back, values))) for i, j in edges])
             latent = latent_maps(len(shapes), edges, maps)
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
+
+
+def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> np.ndarray:
+    """C_ij (m, m) of samples matched by values of shared functions, in the direction that is nearer to orthogonal.
+
+    Of i and j each: basis functions at samples (S, m), their pseudo-inverses, and the values (S, M).
+    """
+    there, again = nearest_rows(values[0], values[1]), nearest_rows(values[1], values[0])
+    both = back[0] @ at[1][there], (back[1] @ at[0][again]).T
+    return min(both, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))
 
 
 def sizes(k: int, size: int) -> list[int]:

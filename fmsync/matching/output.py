@@ -2,27 +2,37 @@
 
 import itertools
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from fmsync.estimators import Estimate
 from fmsync.extras import require
 from fmsync.matching.confidence import Confidence, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration
+from fmsync.matching.network import inlier_weights, trusted_part
+from fmsync.matching.pairwise import PairMatch
 from fmsync.matching.quality import quality_flags
 from fmsync.matching.report import report
+from fmsync.matching.samples import sample_shape
 from fmsync.matching.synchronize import SyncedShapes
-from fmsync.shape import Shape
+from fmsync.problem import SyncProblem
+from fmsync.samplers import Posterior
+from fmsync.shape import Basis, Shape
+
+_OF_SHAPES = ("vertices", "faces", "eigenvalues", "eigenfunctions", "mass")
 
 _README = """\
 report.html         pictures of every pair and a summary; everything is in the one file
 maps.npz            refined (N, M, m) to shared functions: C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges;
-                    names of the shapes
-point_maps/*.npy    NAME_to_{reference}.npy: for each vertex of NAME its vertex of {reference}
+                    names of the shapes; and the rest of what fmsync.matching.load_synced reads
+point_maps/*.npy    A_to_B.npy, for every pair: for each vertex of A its vertex of B
 point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
-meshes/*.vtp, *.ply every shape with these numbers on its vertices, for ParaView and MeshLab
-edges.csv           every pair: how well distances and orientation are kept, its inlier weight
+meshes/*.vtp, *.ply every shape with those of its map to {reference} on its vertices, for ParaView and MeshLab
+edges.csv           every map: how well distances and orientation are kept, its inlier weight
 
 Lengths are in units of the square root of a shape's surface area.
 region      radius about the image that should hold the truth with probability {level:.0%}; learnt from: {fitted_on}.
@@ -30,45 +40,85 @@ expected    the error to be expected of the image: what to rank vertices by. Dro
 radius      radius that holds {level:.0%} of the posterior draws: the noise of the maps alone, smaller than region.
 spread      mean distance to where maps through other shapes lead.
 two_modes   two distant places have support, as on a left-right symmetric body.
-Any other pair: fmsync.synchronize_shapes(...).point_map(i, j).
 {flags}"""
 
 
 def write_all(
     synced: SyncedShapes, folder: Path, level: float, calibration: ConformalCalibration, progress: bool = False
 ) -> None:
-    """Write every file into an empty folder; point maps lead to the first shape, the report shows all pairs."""
+    """Write every file into an empty folder; scalars on meshes are those of the maps to the first shape."""
     reference, names = 0, synced.names
     for part in ("point_maps", "meshes"):
         (folder / part).mkdir()
     pairs = list(itertools.permutations(range(len(names)), 2))
-    known = {(i, j): synced.confidence(i, j, level) for i, j in tqdm(pairs, "confidence", disable=not progress)}
-    tables = {}
-    for i, name in enumerate(names):
-        if i == reference:
-            continue
-        tables[i] = _vertex_table(synced, i, reference, known[i, reference], calibration)
-        stem = folder / "point_maps" / f"{name}_to_{names[reference]}"
-        np.save(f"{stem}.npy", tables[i]["image"].to_numpy())
-        tables[i].to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
+    known, tables = {}, {}
+    for i, j in tqdm(pairs, "point maps", disable=not progress):
+        known[i, j] = synced.confidence(i, j, level)
+        table = _vertex_table(synced, i, j, known[i, j], calibration)
+        if j == reference:
+            tables[i] = table
+        stem = folder / "point_maps" / f"{names[i]}_to_{names[j]}"
+        np.save(f"{stem}.npy", table["image"].to_numpy(np.int32))
+        table.to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
-    assert synced.posterior is not None, "confidence, above, has refused to go without draws"
-    draws = synced.posterior.absolute
-    np.savez_compressed(
-        folder / "maps.npz",
-        refined=synced.refined,
-        draws=draws.reshape(-1, *draws.shape[2:]).astype(np.float32),
-        edges=synced.edges,
-        signs=synced.signs,
-        names=names,
-    )
+    np.savez_compressed(folder / "maps.npz", **_packed(synced))
     edges = edge_table(synced)
     edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
     flags = "".join(f"\nWARNING: {line}\n" for line in quality_flags(synced))
     text = _README.format(reference=names[reference], level=level, fitted_on=calibration.fitted_on, flags=flags)
     (folder / "README.txt").write_text(text, encoding="utf-8")
     (folder / "report.html").write_text(report(synced, known, edges, calibration, level), encoding="utf-8")
+
+
+def _packed(synced: SyncedShapes) -> dict[str, Any]:
+    """Arrays of a collection, from which :func:`load_synced` makes it again."""
+    assert synced.posterior is not None, "confidence, above, has refused to go without draws"
+    draws = synced.posterior.absolute
+    packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "violating", "used", "names")}
+    packed |= {name: getattr(synced.posterior, name) for name in ("energy", "kappa")}
+    packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
+    packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
+    packed |= {"map_names": np.array(synced.map_names, dtype=str)}
+    packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion) for m in synced.matches]
+    packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
+    for k, s in enumerate(synced.shapes):
+        faces = np.empty((0, 3), int) if s.shape.faces is None else s.shape.faces
+        parts = s.shape.vertices, faces, s.basis.eigenvalues, s.basis.eigenfunctions.astype(np.float32), s.basis.mass
+        packed |= {f"{name}_{k}": part for name, part in zip(_OF_SHAPES, parts)}
+        packed |= {f"samples_{k}": s.samples, f"landmarks_{k}": s.samples[: s.n_landmarks]}
+    return packed
+
+
+def load_synced(folder: str | Path) -> SyncedShapes:
+    """The collection that ``fmsync sync`` left in a folder, eigenfunctions and draws in single precision.
+
+    Samples, their distances and descriptors are computed again. A ValueError if ``maps.npz`` is missing or damaged.
+    """
+    path = Path(folder) / "maps.npz"
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file; name a folder that fmsync sync has written")
+    try:
+        with np.load(path) as kept:
+            data = dict(kept)
+        problem = SyncProblem(len(data["names"]), data["edges"], data["observed"])
+        shapes = []
+        for k, name in enumerate(data["names"]):
+            vertices, faces, *basis = (data[f"{part}_{k}"] for part in _OF_SHAPES)
+            shape = Shape(vertices, faces if len(faces) else None, str(name))
+            size, marks = len(data[f"samples_{k}"]), data[f"landmarks_{k}"]
+            shapes.append(sample_shape(shape, len(basis[0]), size, problem.n, marks, Basis(*basis)))
+        matches = tuple(PairMatch(data[f"c_ij_{e}"], *map(float, row)) for e, row in enumerate(data["scores"]))
+        estimate = Estimate.from_absolute(problem, data["absolute"], "robust", edge_weights=data["weights"])
+        energy, trusted = data["energy"], trusted_part(problem, estimate, data["used"])
+        draws = data["draws"].astype(float).reshape(*energy.shape, *data["absolute"].shape)
+        posterior = Posterior(trusted, "heat-bath", draws, energy, data["kappa"], False, {"likelihood": "langevin"})
+        rest = data["refined"], tuple(map(str, data["map_names"])), data["used"]
+        return SyncedShapes(
+            tuple(shapes), problem.edges, matches, data["signs"], data["violating"], problem, estimate, posterior, *rest
+        )
+    except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
+        raise ValueError(f"{path}: damaged, or of another version ({error!r}); run fmsync sync again") from error
 
 
 def _vertex_table(
@@ -89,17 +139,18 @@ def _vertex_table(
 
 
 def edge_table(synced: SyncedShapes) -> pd.DataFrame:
-    """Consistency of every pair."""
-    weights = synced.estimate.edge_weights
+    """Consistency of every pair, or of every given map."""
     names = np.array(synced.names)
+    named = {"map": synced.map_names} if synced.map_names else {}
     return pd.DataFrame(
-        {
+        named
+        | {
             "first": names[synced.edges[:, 0]],
             "second": names[synced.edges[:, 1]],
             "distortion": [m.distortion for m in synced.matches],
             "orientation": [m.orientation for m in synced.matches],
             "residual": np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2)),
-            "inlier_weight": np.ones(len(synced.edges)) if weights is None else weights,
+            "inlier_weight": inlier_weights(synced.estimate),
             "sign_disagrees": np.isin(np.arange(len(synced.edges)), synced.violating),
         }
     )

@@ -67,10 +67,10 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored))
 
 
-def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray) -> PairMatch:
-    """A proposed map, upsampled and scored like the candidates of :func:`match`."""
+def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int = FINE) -> PairMatch:
+    """A proposed map, upsampled to at most ``size`` and scored like the candidates of :func:`match`."""
     with single_threaded_blas():
-        top = min(FINE, first.basis.n, second.basis.n)
+        top = min(size, first.basis.n, second.basis.n)
         maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES)
         distortion, orientation, _ = map_scores(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))

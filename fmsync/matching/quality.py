@@ -31,7 +31,7 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
                 f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
                 "the regions are rough; ask for more draws."
             )
-    pairs = [f"{synced.names[i]}–{synced.names[j]}" for i, j in synced.edges[synced.violating]]
+    pairs = [synced.edge_names[e] for e in synced.violating]
     if pairs:
         said.append(
             f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."
@@ -47,7 +47,7 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
             "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. Give "
             "meshes or landmarks."
         )
-    if len(synced.edges) < len(synced.shapes):
+    if len(synced.used) < len(synced.shapes):
         said.append(
             "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
             "use a graph with more pairs."

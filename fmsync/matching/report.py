@@ -104,16 +104,17 @@ def _summary(
 ) -> list[str]:
     every = np.concatenate(list(radii.values()))
     double = float(np.mean([k.two_modes.mean() for k in known.values()]))
-    dropped = edges[edges["inlier_weight"] < 0.5]
-    named = ": " + ", ".join(f"{a}–{b}" for a, b in zip(dropped["first"], dropped["second"])) if len(dropped) else ""
+    dropped = [synced.edge_names[e] for e in np.flatnonzero(edges["inlier_weight"] < 0.5)]
+    named = ": " + ", ".join(dropped) if dropped else ""
+    how = f"by {len(edges)} given maps" if synced.map_names else f"in {len(edges)} pairs from their geometry alone"
     unsure = [np.median([np.median(r) for pair, r in radii.items() if k in pair]) for k in range(len(synced.shapes))]
     return [
-        f"{len(synced.shapes)} shapes were matched in {len(edges)} pairs from their geometry alone.",
+        f"{len(synced.shapes)} shapes were matched {how}.",
         f"Half of all vertices have a {level:.0%} region of radius below {np.median(every):.3f}, nine in ten below "
         f"{np.quantile(every, 0.9):.3f} (a whole shape has area 1).",
         f"How large a region must be was learnt from: {calibration.fitted_on}. Shapes of another kind may need their "
         "own calibration.",
         f"{double:.1%} of the vertices have two candidate places, usually the left and the right of a symmetric part.",
-        f"{len(dropped) or 'No'} pairs were given up because the others contradict them{named}.",
+        f"{len(dropped) or 'No'} maps were given up because the others contradict them{named}.",
         f"Least certain of all shapes: {synced.names[int(np.argmax(unsure))]}.",
     ]

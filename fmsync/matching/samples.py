@@ -69,11 +69,17 @@ class SampledShape:
 
 
 def sample_shape(
-    shape: Shape, n_basis: int, n_samples: int, n_oriented: int = 20, landmarks: np.ndarray | None = None
+    shape: Shape,
+    n_basis: int,
+    n_samples: int,
+    n_oriented: int = 20,
+    landmarks: np.ndarray | None = None,
+    basis: Basis | None = None,
 ) -> SampledShape:
     """A mesh or point cloud of any scale, with ``n_basis`` functions and at most ``n_samples`` samples.
 
-    Orientation operators have size ``n_oriented``; landmarks are vertices (L,) that correspond across the collection.
+    Orientation operators have size ``n_oriented``; landmarks are vertices (L,) that correspond across the collection;
+    a ``basis`` that is known already is not computed again.
     """
     if shape.faces is None:
         neighbours = min(30, shape.n_vertices - 1)
@@ -82,7 +88,7 @@ def sample_shape(
         area = shape.area
     shape = Shape(shape.vertices / np.sqrt(area), shape.faces, shape.name)
     try:
-        basis = laplace_beltrami(shape.vertices, shape.faces, n_basis)
+        basis = basis or laplace_beltrami(shape.vertices, shape.faces, n_basis)
     except ValueError as error:
         raise ValueError(f"{shape.name}: {error}") from error
     landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)

@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import itertools
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,17 +16,18 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from fmsync import checks, so
-from fmsync.estimators import Estimate, solve
+from fmsync.estimators import Estimate
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import Confidence, confidence
+from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.network import basis_signs, flipped, posterior_draws, robust_maps, trusted_edges, trusted_part
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
-from fmsync.matching.signs import rotation_signs
 from fmsync.problem import SyncProblem
-from fmsync.samplers import Posterior, sample
-from fmsync.shape import Shape
+from fmsync.samplers import Posterior
+from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 from fmsync.uncertainty import vertex_images
 
@@ -46,7 +46,7 @@ class SyncedShapes:
     shapes
         N sampled shapes of unit area.
     edges, matches
-        (E, 2) pairs and their maps from descriptors, after refinement.
+        (E, 2) pairs and their maps: from descriptors, after refinement, or as they were given.
     signs, violating
         (N,) ±1, and the edges whose determinant disagrees with them.
     problem, estimate, posterior
@@ -54,6 +54,10 @@ class SyncedShapes:
     refined
         (N, M, m) maps with orthonormal rows from the refined bases to M <= m functions that all shapes share; points
         are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
+    map_names
+        Of given maps, one for each edge; empty where the shapes were matched.
+    used
+        (U,) edges whose maps carry points: all, or of given maps those of least cost of each pair that are trusted.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -65,11 +69,18 @@ class SyncedShapes:
     estimate: Estimate
     posterior: Posterior | None
     refined: np.ndarray
+    map_names: tuple[str, ...]
+    used: np.ndarray
 
     @property
     def names(self) -> list[str]:
         """Names of the shapes."""
         return [s.shape.name for s in self.shapes]
+
+    @property
+    def edge_names(self) -> list[str]:
+        """What messages call the edges: names of given maps, or of two shapes."""
+        return list(self.map_names) or [f"{self.names[i]}–{self.names[j]}" for i, j in self.edges]
 
     def functional_map(self, i: int, j: int) -> np.ndarray:
         """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
@@ -117,8 +128,9 @@ class SyncedShapes:
     def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
         observed = {}
-        for (a, b), m in zip(self.edges.tolist(), self.matches):
-            observed[a, b], observed[b, a] = m.c_ij, m.c_ij.T
+        for e in self.used:
+            a, b = self.edges[e].tolist()
+            observed[a, b], observed[b, a] = self.matches[e].c_ij, self.matches[e].c_ij.T
 
         def images(a: int, b: int) -> np.ndarray:
             c = observed[a, b]
@@ -134,6 +146,8 @@ class SyncedShapes:
 def synchronize_shapes(
     shapes: Sequence[Shape],
     *,
+    maps: Maps | None = None,
+    bases: Sequence[Basis] | None = None,
     n_basis: int = 20,
     n_refined: int = 120,
     n_samples: int = 1000,
@@ -145,7 +159,7 @@ def synchronize_shapes(
     progress: bool = False,
     rng: int | np.random.Generator = 0,
 ) -> SyncedShapes:
-    """Consistent functional maps of a collection of shapes from the shapes alone, with posterior draws.
+    """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
@@ -153,10 +167,22 @@ def synchronize_shapes(
     out, mirrored, or unlike the rest in its spectrum is a ValueError that names it; shapes of equal names become
     ``name (shape k)``.
 
+    Given maps are data and none is replaced by a proposal: on cats with a fifth of the pairs mirrored or shuffled that
+    made points no better, and would hide which maps are wrong. Those that the others contradict get an inlier weight
+    near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best of each pair: errors of several
+    maps of one pair are not independent.
+
     Parameters
     ----------
     shapes
         At least two meshes or point clouds in any unit, with any numbers of vertices, each in one piece.
+    maps, bases
+        Maps from i to j, ``{(i, j): map}``, instead of the pipeline's own: any pairs that connect all shapes, in one
+        direction or both; ``{name: map}`` or a list for several of a pair. One axis of whole numbers is a point map
+        (V_i,) of vertices of j counted from zero, -1 for unmatched ones; a ``scipy.sparse`` matrix a soft map
+        (V_i, V_j), rows summing to at most one; any other matrix a functional map C_ij (n_i, n_j), from coefficients on
+        j to those on i, n_i and n_j >= ``n_basis``, in the first functions of ``bases`` or, without these, of
+        :func:`fmsync.laplace_beltrami`. A map that does not fit, or fits far better in reverse, is a ValueError.
     n_basis, n_refined
         Size n of the maps that are sampled, and size m >= n of those that carry points.
     n_samples, n_draws
@@ -187,29 +213,42 @@ def synchronize_shapes(
         raise ValueError(
             f"n_basis = {n_basis}: lower it to n_refined = {n_refined} and n_samples = {n_samples} at most"
         )
-    _check_shapes(shapes, n_refined)
-    marks = [None] * len(shapes) if landmarks is None else _checked_landmarks(landmarks, shapes, n_samples)
-    pairs = _checked_graph(graph, len(shapes))
-    each = _parallel(jobs, progress)
+    check_shapes(shapes, n_refined)
+    marks = [None] * len(shapes) if landmarks is None else checked_landmarks(landmarks, shapes, n_samples)
+    if bases if maps is None else graph != "complete":
+        raise ValueError("bases, graph: the one belongs to given maps, the other to shapes without; leave it out")
+    given = () if maps is None else checked_maps(maps, shapes, bases, n_basis)
+    pairs = np.array([(g.i, g.j) for g in given]) if given else _checked_graph(graph, len(shapes))
+    each = parallel(jobs, progress)
     sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
-    _refuse_outlier_shapes(sampled)
+    refuse_outlier_shapes(sampled)
     edges = _neighbours(sampled, pairs) if isinstance(pairs, int) else pairs
-    light = [s.light(FINE) for s in sampled]
-    matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
-    _refuse_mirrored(sampled, edges, matches)
-    for k in range(ROUNDS):
-        estimate, signs, _, _ = robust_maps(len(shapes), edges, matches, n_basis, rng)
-        proposed = zip(edges, _flipped(estimate.relative(), edges, signs))
-        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, [(light[i], light[j], c) for (i, j), c in proposed])
-        matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
+    if given:
+        matches = given_matches(given, sampled, bases)
+    else:
+        light = [s.light(FINE) for s in sampled]
+        matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
+        _refuse_mirrored(sampled, edges, matches)
+
+        def proposed(found: list[PairMatch]) -> np.ndarray:
+            estimate, signs, _, _ = robust_maps(len(shapes), edges, found, n_basis, rng)
+            return flipped(estimate.relative(), edges, signs)
+
+        matches = with_proposals(each, light, edges, matches, proposed)
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
-    posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress) if n_draws else None
-    maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
-    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
-    return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
+    used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if given else np.arange(len(edges))
+    part = trusted_part(problem, estimate, used)
+    posterior = posterior_draws(part, estimate, n_draws, rng, progress) if n_draws else None
+    start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used])
+    steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
+    refined, names_of_maps = upsample(sampled, edges[used], start, steps), tuple(g.name for g in given)
+    return SyncedShapes(
+        sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined, names_of_maps, used
+    )
 
 
-def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
+def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
+    """Refuse too few shapes or vertices, and meshes that are mirrored or inside out while others are not."""
     if len(shapes) < 2:
         raise ValueError(f"shapes: {len(shapes)} given, correspondences need at least two")
     volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
@@ -229,7 +268,7 @@ def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
         )
 
 
-def _checked_landmarks(
+def checked_landmarks(
     landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int
 ) -> Sequence[np.ndarray]:
     """The vertices (L,) of each shape."""
@@ -268,7 +307,7 @@ def _checked_graph(graph: str | Sequence[tuple[int, int]], count: int) -> np.nda
         raise ValueError(f"graph: {what}; give pairs of different shapes 0..{count - 1} that connect all") from None
 
 
-def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
+def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
     """Call a function with each of some arguments, in so many processes, under a bar with a name."""
     # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
     run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
@@ -280,7 +319,7 @@ def _parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], S
     return each
 
 
-def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
+def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
     """ValueError that names the shape whose spectrum is far from the rest."""
     logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
     apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
@@ -293,6 +332,21 @@ def _refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
             f"{shapes[worst].shape.name} is unlike the rest: its spectrum differs by {apart[worst]:.0%} from the "
             f"median shape, the others by {np.median(apart):.0%}; leave this likely outlier out"
         )
+
+
+def with_proposals(
+    each: Callable[..., list[Any]],
+    light: Sequence[SampledShape],
+    edges: np.ndarray,
+    matches: list[PairMatch],
+    propose: Callable[[list[PairMatch]], np.ndarray],
+) -> list[PairMatch]:
+    """Maps of the edges, or what the network proposes for them (E, n, n) where that keeps distances better."""
+    for k in range(ROUNDS):
+        proposed = [(light[i], light[j], c) for (i, j), c in zip(edges, propose(matches))]
+        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, proposed)
+        matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
+    return matches
 
 
 def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches: Sequence[PairMatch]) -> None:
@@ -332,64 +386,3 @@ def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path 
     with replacing(file) as stream:
         np.savez(stream, c_ij=found.c_ij, numbers=[found.distortion, found.orientation, found.mirrored_distortion])
     return found
-
-
-def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
-    """(N, n) signs of all basis functions: the last one of a shape with -1 is flipped."""
-    flips = np.ones((len(signs), n))
-    flips[:, -1] = signs
-    return flips
-
-
-def _flipped(maps: np.ndarray, edges: np.ndarray, signs: np.ndarray) -> np.ndarray:
-    """Maps (E, n, n) between the bases with these signs."""
-    flips = basis_signs(signs, maps.shape[-1])
-    return flips[edges[:, 0]][:, :, None] * maps * flips[edges[:, 1]][:, None]
-
-
-def robust_maps(
-    count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
-) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
-    """Robust synchronisation of the matches: the estimate, signs, edges that violate them, and the problem solved."""
-    maps = np.array([m.c_ij[:n, :n] for m in matches])
-    signs, violating = rotation_signs(count, edges, maps)
-    problem = SyncProblem(count, edges, so.project(_flipped(maps, edges, signs)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        if len(edges) < count:  # a tree has no cycle by which to tell a wrong edge
-            estimate = solve(problem, "mle", rng=rng)
-        else:  # to a part in a thousand: the maps are not better known than that
-            estimate = solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
-    return estimate, signs, violating, problem
-
-
-def _trusted(problem: SyncProblem, estimate: Estimate) -> SyncProblem:
-    """The problem without the edges that the robust estimate gave up, unless that takes it apart."""
-    if estimate.edge_weights is None:
-        return problem
-    keep = estimate.edge_weights > 0.5
-    left = nx.Graph(problem.edges[keep].tolist())
-    if left.number_of_nodes() < problem.n_nodes or not nx.is_connected(left):
-        return problem
-    return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
-
-
-def _sample(
-    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
-) -> Posterior:
-    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
-    tree = problem.n_edges < problem.n_nodes
-    each = -(-n_draws // 4)
-    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
-        return sample(
-            problem,
-            "heat-bath",
-            kappa=20.0 if tree else "auto",
-            init=estimate,
-            n_chains=4,
-            n_draws=each,
-            warmup=300,
-            thin=4,
-            callback=lambda *_: bar.update(),
-            rng=rng,
-        )

@@ -1,0 +1,143 @@
+"""One shape more in a synchronised collection, whose other shapes stay as they are."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fmsync import checks, so
+from fmsync.estimators import Estimate
+from fmsync.matching import synchronize as stages
+from fmsync.matching.latent import map_from_values
+from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
+from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
+from fmsync.matching.samples import SampledShape, sample_shape
+from fmsync.matching.synchronize import SyncedShapes
+from fmsync.problem import SyncProblem
+from fmsync.samplers import Posterior
+from fmsync.samplers.plane_rotations import rounds, sweep
+from fmsync.samplers.random_streams import generators
+from fmsync.shape import Shape
+from fmsync.threads import single_threaded_blas
+
+_STEP, _SETTLE = 6, 8  # functions by which the new maps grow, and rounds at the final size
+_SWEEPS = 30  # from the mode of a unimodal density, in which planes hardly depend on each other
+
+
+def add_shape(
+    synced: SyncedShapes,
+    shape: Shape,
+    *,
+    neighbours: int | None = None,
+    landmarks: Sequence[int] | None = None,
+    jobs: int = 1,
+    rng: int | np.random.Generator = 0,
+) -> SyncedShapes:
+    """The collection with one shape more, at the end; maps, draws and functions of the others stay as they are.
+
+    The shape is matched to all others, or to so many ``neighbours`` by spectrum, as :func:`fmsync.synchronize_shapes`
+    does (``landmarks``, ``jobs`` and ``rng`` are as there), and its map solved for robustly given theirs. Each of their
+    draws gets one of its map from the exact conditional density; what the new maps say about the others is not used.
+
+    Examples
+    --------
+    >>> import data_gen, fmsync
+    >>> *cats, last = data_gen.load_collection("cats", count=3, n_vertices=1000)
+    >>> synced = fmsync.synchronize_shapes(cats, n_basis=10, n_refined=20, n_samples=150, n_draws=0)
+    >>> fmsync.matching.add_shape(synced, last).point_map(2, 0).shape
+    (1000,)
+    """
+    neighbours = None if neighbours is None else checks.count("neighbours", neighbours)
+    rng, old, n, before = np.random.default_rng(rng), synced.shapes, synced.problem.n, len(synced.edges)
+    if shape.name in synced.names:
+        shape = replace(shape, name=f"{shape.name} (shape {len(old)})")
+    everybody = [*(s.shape for s in old), shape]
+    stages.check_shapes(everybody, old[0].basis.n)
+    size = max(len(s.samples) for s in old)
+    given: list[Any] = [*(s.samples[: s.n_landmarks] for s in old), [] if landmarks is None else landmarks]
+    marks = stages.checked_landmarks(given, everybody, size)[-1]
+    shapes = (*old, sample_shape(shape, old[0].basis.n, size, n, marks))
+    stages.refuse_outlier_shapes(shapes)
+    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    others = np.sort(np.argsort(np.abs(logs[:-1] - logs[-1]).mean(axis=1), kind="stable")[:neighbours])
+    edges, fixed = np.column_stack([others, np.full(len(others), len(old))]), synced.estimate.absolute[others]
+    turn, each = basis_signs(synced.signs[others], n)[:, :, None], stages.parallel(jobs, False)  # (K, n, 1)
+    light = [s.light(FINE) for s in shapes]
+    matches = each("pairs", match, [(light[i], light[j]) for i, j in edges])
+    matches = stages.with_proposals(each, light, edges, matches, lambda found: _placed(fixed, turn, found, rng)[-1])
+    star, sign, observed, relative = _placed(fixed, turn, matches, rng)
+    weights = inlier_weights(star)
+    trusted = weights >= min(0.5, weights.max())
+    problem, posterior = _extended(synced.problem, edges, observed), synced.posterior
+    absolute = np.concatenate([synced.estimate.absolute, star.absolute[1:]])
+    weights = np.concatenate([inlier_weights(synced.estimate), weights])
+    wrong = np.linalg.det([m.c_ij[:n, :n] for m in matches]) * synced.signs[others] * sign < 0
+    refined = _refined(synced, shapes[-1], others[trusted], relative[trusted])
+    return SyncedShapes(
+        shapes=shapes,
+        edges=problem.edges,
+        matches=(*synced.matches, *matches),
+        signs=np.append(synced.signs, sign),
+        violating=np.concatenate([synced.violating, before + np.flatnonzero(wrong)]),
+        problem=problem,
+        estimate=Estimate.from_absolute(problem, absolute, "robust", edge_weights=weights),
+        posterior=posterior and _with_draws(posterior, edges[trusted], observed[trusted], rng),
+        refined=np.concatenate([synced.refined, refined[None]]),
+        map_names=synced.map_names and (*synced.map_names, *(f"{synced.names[k]}–{shape.name}" for k in others)),
+        used=np.concatenate([synced.used, before + np.flatnonzero(trusted)]),
+    )
+
+
+def _placed(
+    fixed: np.ndarray, turn: np.ndarray, matches: Sequence[PairMatch], rng: np.random.Generator
+) -> tuple[Estimate, float, np.ndarray, np.ndarray]:
+    """The new map given the others', its sign, rotations (K, n, n) observed, and synchronised maps in our bases."""
+    n = fixed.shape[-1]
+    maps = turn * np.array([m.c_ij[:n, :n] for m in matches])
+    sign = -1.0 if np.sign(np.linalg.det(maps)).sum() < 0 else 1.0
+    own = basis_signs(np.array([sign]), n)
+    observed = so.project(maps * own)
+    star = SyncProblem(2, [[0, 1]] * len(maps), fixed @ observed)  # every C_k C_kj observes the one map C_j
+    estimate = robust_estimate(star, rng)
+    return estimate, sign, observed, turn * (so.transpose(fixed) @ estimate.absolute[1]) * own
+
+
+def _extended(problem: SyncProblem, edges: np.ndarray, maps: np.ndarray) -> SyncProblem:
+    both = np.concatenate([problem.edges, edges]), np.concatenate([problem.maps, maps])
+    return SyncProblem(problem.n_nodes + 1, *both)
+
+
+def _with_draws(posterior: Posterior, edges: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> Posterior:
+    """Draws of the new map given those of the others, by the heat bath: density exp(κ tr(SᵀC)), S = Σ C_k C_kj."""
+    n, size = maps.shape[-1], posterior.energy.shape
+    force = sum(posterior.absolute[:, :, k] @ c for k, c in zip(edges[:, 0], maps)).reshape(-1, n, n)
+    # transposed maps of two nodes: an identity that is not visited, and the new map from its mode on
+    x = np.stack([np.broadcast_to(np.eye(n), force.shape), so.transpose(so.project(force))], axis=1)
+    blocks = np.stack([np.zeros(force.shape), so.transpose(force)], axis=1).reshape(len(force), -1)
+    fixed = np.arange(3), np.array([1, 0]), np.empty((0, n, n)), posterior.kappa.ravel(), 1, rounds(n), np.array([1])
+    states, gains = generators(rng, len(force), 2), np.empty((len(force), 2))
+    for _ in range(_SWEEPS):
+        sweep(x, blocks, *fixed, states, gains)
+    drawn = so.transpose(x[:, 1])
+    return replace(
+        posterior,
+        problem=_extended(posterior.problem, edges, maps),
+        absolute=np.concatenate([posterior.absolute, drawn.reshape(*size, 1, n, n)], axis=2),
+        energy=posterior.energy + 2 * (n * len(maps) - (force * drawn).sum((1, 2)).reshape(size)),
+    )
+
+
+def _refined(synced: SyncedShapes, new: SampledShape, others: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """(M, m) map of the new shape to the functions that the others share, from maps (K, n, n) to it."""
+    m = synced.refined.shape[-1]
+    with single_threaded_blas():
+        at = [synced.shapes[k].sampled()[:, :m] for k in others]
+        back, values = [np.linalg.pinv(phi) for phi in at], [phi @ synced.refined[k].T for phi, k in zip(at, others)]
+        own, own_back = new.sampled()[:, :m], np.linalg.pinv(new.sampled()[:, :m])
+        grown = [zoomout(synced.shapes[k], new, c[None], m, _STEP)[0][0] for k, c in zip(others, maps)]
+        for _ in range(_SETTLE):
+            u, _, vt = np.linalg.svd(sum(synced.refined[k] @ c for k, c in zip(others, grown)), full_matrices=False)
+            mine = own @ (u @ vt).T
+            grown = [map_from_values((a, own), (b, own_back), (v, mine)) for a, b, v in zip(at, back, values)]
+    return u @ vt

@@ -1,0 +1,88 @@
+"""The network of maps: signs, robust synchronisation, which edges to trust, and posterior draws."""
+
+import warnings
+from collections.abc import Sequence
+
+import networkx as nx
+import numpy as np
+from tqdm import tqdm
+
+from fmsync import so
+from fmsync.estimators import Estimate, solve
+from fmsync.matching.pairwise import PairMatch
+from fmsync.matching.signs import rotation_signs
+from fmsync.problem import SyncProblem
+from fmsync.samplers import Posterior, sample
+
+
+def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
+    """(N, n) signs of all basis functions: the last one of a shape with -1 is flipped."""
+    flips = np.ones((len(signs), n))
+    flips[:, -1] = signs
+    return flips
+
+
+def flipped(maps: np.ndarray, edges: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Maps (E, n, n) between the bases with these signs."""
+    flips = basis_signs(signs, maps.shape[-1])
+    return flips[edges[:, 0]][:, :, None] * maps * flips[edges[:, 1]][:, None]
+
+
+def robust_maps(
+    count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
+) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
+    """Robust synchronisation of the matches: the estimate, signs, edges that violate them, and the problem solved."""
+    maps = np.array([m.c_ij[:n, :n] for m in matches])
+    signs, violating = rotation_signs(count, edges, maps)
+    problem = SyncProblem(count, edges, so.project(flipped(maps, edges, signs)))
+    return robust_estimate(problem, rng), signs, violating, problem
+
+
+def robust_estimate(problem: SyncProblem, rng: int | np.random.Generator) -> Estimate:
+    """To a part in a thousand, maps are not better known than that; of a tree, which tells no wrong edge, the MLE."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        if problem.n_edges < problem.n_nodes:
+            return solve(problem, "mle", rng=rng)
+        return solve(problem, "robust", rng=rng, tolerance=1e-3, max_iterations=100)
+
+
+def trusted_edges(problem: SyncProblem, estimate: Estimate) -> np.ndarray:
+    """(E,) whether the robust estimate keeps an edge; all of them if without the others the graph falls apart."""
+    keep = inlier_weights(estimate) > 0.5
+    left = nx.Graph(problem.edges[keep].tolist())
+    connected = left.number_of_nodes() == problem.n_nodes and nx.is_connected(left)
+    return keep if connected else np.ones_like(keep)
+
+
+def trusted_part(problem: SyncProblem, estimate: Estimate, used: np.ndarray) -> SyncProblem:
+    """What the posterior is of: those of some edges (U,) that are trusted."""
+    keep = used[trusted_edges(problem, estimate)[used]]
+    return SyncProblem(problem.n_nodes, problem.edges[keep], problem.maps[keep])
+
+
+def inlier_weights(estimate: Estimate) -> np.ndarray:
+    """(E,) of an estimate that need not have any: then they are 1."""
+    weights = estimate.edge_weights
+    return np.ones(estimate.problem.n_edges) if weights is None else weights
+
+
+def posterior_draws(
+    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
+) -> Posterior:
+    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
+    tree = problem.n_edges < problem.n_nodes
+    each = -(-n_draws // 4)
+    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
+        return sample(
+            problem,
+            "heat-bath",
+            kappa=20.0 if tree else "auto",
+            init=estimate,
+            n_chains=4,
+            n_draws=each,
+            warmup=300,
+            thin=4,
+            callback=lambda *_: bar.update(),
+            rng=rng,
+        )
