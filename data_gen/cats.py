@@ -11,6 +11,7 @@ from data_gen.cache import cached
 from data_gen.cat_mesh import rest_mesh
 from data_gen.cat_pose import POSES, Pose, Rig, muscle_tone
 from data_gen.self_intersection import self_intersections
+from fmsync.checks import checked
 from fmsync.shape import Shape
 
 _GROWTH = 0.04  # how much larger the right half is when the symmetry is broken
@@ -20,6 +21,7 @@ _DRAWS = 30  # tries to find a pose that does not pass through itself
 _MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
 
 
+@checked(seed=">= 0")
 def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool = False) -> list[Shape]:
     """Poses of the synthetic cat, the same for the same arguments, bit by bit.
 
@@ -52,6 +54,7 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     return [Shape(vertices, made["faces"], f"cat{k}") for k, vertices in enumerate(made["vertices"])]
 
 
+@checked()
 def left_right_flip(n_vertices: int = 5000) -> np.ndarray:
     """The vertex opposite to each vertex (V,) on the cats of ``load_collection("cats", n_vertices=...)``.
 

@@ -8,10 +8,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
+from fmsync.checks import checked
 from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 
+@checked(seed=">= 0")
 def load_collection(
     source: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -71,6 +73,7 @@ def require_common_order(shapes: Sequence[Shape]) -> None:
         )
 
 
+@checked()
 def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np.ndarray]:
     """Where the points of a common template lie on each shape, from the files ``<name>.vts`` or ``<name>.txt``.
 
@@ -87,6 +90,7 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
     return found
 
 
+@checked(correspondences="K < V", edges="E 2")
 def correspondence_maps(
     shapes: Sequence[Shape], correspondences: Sequence[np.ndarray], edges: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:

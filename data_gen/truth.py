@@ -15,6 +15,7 @@ from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
 from fmsync import functional_map, laplace_beltrami, so
+from fmsync.checks import checked
 from fmsync.problem import relative_maps
 from fmsync.shape import Basis, Shape
 
@@ -65,11 +66,13 @@ class GroundTruth:
         """Consistent relative maps C_i^T C_j of the edges, (E, n, n)."""
         return self.relative(self.edges)
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray) -> np.ndarray:
         """Consistent relative maps of any pairs (K, 2)."""
         return relative_maps(self.absolute, edges)
 
 
+@checked(flip="V < W")
 def ground_truth(
     shapes: Sequence[Shape],
     graph: nx.Graph,
@@ -139,6 +142,7 @@ def ground_truth(
     return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
 
 
+@checked(edges="E 2 < N")
 def measure_maps(
     bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
 ) -> np.ndarray:
@@ -148,6 +152,7 @@ def measure_maps(
     return np.stack(maps)
 
 
+@checked()
 def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
     """Flip one eigenfunction on each shape whose map to the first has a negative determinant.
 
@@ -166,6 +171,7 @@ def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.nd
     return fixed
 
 
+@checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E")
 def absolute_maps(
     n_nodes: int,
     edges: np.ndarray,
@@ -193,6 +199,7 @@ def absolute_maps(
     return so.project(absolute)
 
 
+@checked(n_nodes=">= 2")
 def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
     """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
 

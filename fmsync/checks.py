@@ -75,12 +75,14 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     kinds = kinds - _ARRAY_LIKE | {np.ndarray} if kinds >= _ARRAY_LIKE else kinds
     origins = {get_origin(kind) or kind: kind for kind in kinds}
     classes = tuple(os.PathLike if kind is Path else kind for kind in origins if kind not in _CONVERTED)
-    convert = next((_CONVERTED[kind](origins[kind], rule) for kind in _CONVERTED if kind in origins), None)
+    convert: Test | None = None
     if callable(rule):
         convert = functools.partial(_apply, rule)
     elif np.random.Generator in origins and int in origins:
         convert = functools.partial(_apply, _seed)
-    elif {Any, object, inspect.Parameter.empty} & kinds:
+    else:
+        convert = next((_CONVERTED[kind](origins[kind], rule) for kind in _CONVERTED if kind in origins), None)
+    if {Any, object, inspect.Parameter.empty} & kinds:
         return lambda name, value, sizes: _with_sizes(value, sizes)
     expected = " or ".join(getattr(kind, "__name__", str(kind)) for kind in classes)
 
@@ -182,11 +184,13 @@ def _integers(name: str, value: object) -> np.ndarray:
 
 def _fitting(name: str, values: np.ndarray, letters: list[str], sizes: Sizes) -> np.ndarray:
     """Refuse other shapes, and remember the sizes of letters that are new."""
-    own = letters[letters[:1] == ["..."] :]
-    shape = values.shape[len(values.shape) - len(own) :] if len(own) < len(letters) else values.shape
-    fits = len(shape) == len(own)
+    axes = list(values.shape)
+    fits, own = len(axes) == len(letters), letters
+    if "..." in letters:
+        k, own = letters.index("..."), [letter for letter in letters if letter != "..."]
+        fits, axes = len(axes) >= len(own), axes[:k] + axes[len(axes) - len(own) + k :]
     known = {letter: sizes[letter] for letter in own if letter in sizes}
-    for letter, size in zip(own, shape):
+    for letter, size in zip(own, axes):
         wanted = int(letter) if letter.isdigit() else sizes.setdefault(letter, size)
         fits = fits and size == wanted and (size > 0 or letter.isupper())
     if not fits:
@@ -261,6 +265,19 @@ def not_negative(name: str, value: object) -> float:
 def probability(name: str, value: object) -> float:
     """A number strictly between 0 and 1."""
     return _number(name, value, "must lie strictly between 0 and 1", lambda x: 0 < x < 1)
+
+
+def share(name: str, value: object) -> float:
+    """A number > 0 and at most 1."""
+    return _number(name, value, "must lie in (0, 1]", lambda x: 0 < x <= 1)
+
+
+def shares(name: str, value: object) -> np.ndarray:
+    """Numbers from 0 to 1, of any shape."""
+    found = array(name, value)
+    if ((found < 0) | (found > 1)).any():
+        raise ValueError(f"{name}: must lie in [0, 1], got {found[(found < 0) | (found > 1)].flat[0]}")
+    return found
 
 
 def one_of(name: str, value: object, choices: Collection[str]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmsync import checks
+from fmsync.checks import checked, unchecked
 from fmsync.files import replacing
 from fmsync.so import transpose
 
@@ -170,6 +171,7 @@ class LangevinPrior:
         object.__setattr__(self, "kappa", kappa)
 
 
+@checked(kappa=checks.positive)
 def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncProblem:
     r"""The problem with its prior written as observations from one more node, the anchor, held at the identity.
 
@@ -186,6 +188,7 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     return SyncProblem(problem.n_nodes + 1, np.concatenate([problem.edges, edges]), maps, weights)
 
 
+@checked()
 def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
     """Raise a ValueError unless the prior has a mode for every map."""
     expected = (problem.n_nodes, problem.n, problem.n)
@@ -193,17 +196,20 @@ def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
         raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
 
 
+@checked(absolute="... N n n", edges="K 2 < N")
 def relative_maps(absolute: np.ndarray, edges: np.ndarray) -> np.ndarray:
     r"""Relative maps :math:`C_i^\top C_j` (..., E, n, n) of absolute rotations (..., N, n, n)."""
     i, j = np.asarray(edges).T
     return transpose(absolute[..., i, :, :]) @ absolute[..., j, :, :]
 
 
+@checked(absolute="... N n n", node="< N")
 def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
     """The equivalent rotations with C_node = I; (..., N, n, n)."""
     return transpose(absolute[..., node, None, :, :]) @ absolute
 
 
+@checked(n_nodes="N >= 2", edges="E 2 < N", maps="E n n")
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
@@ -220,6 +226,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     return np.array([np.linalg.norm(lookup[i, j] @ lookup[j, k] @ lookup[k, i] - identity) for i, j, k in triangles])
 
 
+@checked()
 def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     """Write a problem; the file appears whole or not at all.
 
@@ -242,6 +249,7 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     return path
 
 
+@checked()
 def load_problem(path: str | Path) -> SyncProblem:
     """Read a problem written by :func:`save_problem`; a ValueError names the file when it is not one."""
     data = Path(path).read_bytes()
@@ -251,3 +259,6 @@ def load_problem(path: str | Path) -> SyncProblem:
         return SyncProblem(int(n_nodes), edges, maps, weights, json.loads(record.tobytes()))
     except Exception as error:  # damaged archives raise errors of six kinds
         raise ValueError(f"{path}: not a complete problem file ({error}); write it again with save_problem") from error
+
+
+relative_maps_unchecked, fix_gauge_unchecked = unchecked(relative_maps), unchecked(fix_gauge)  # for loops

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fmsync.block_krylov import largest_eigenpairs
+from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.threads import single_threaded_blas
 
@@ -94,6 +95,7 @@ class Basis:
         """Number of vertices V."""
         return len(self.mass)
 
+    @checked(functions="V ...")
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
         functions = np.asarray(functions)
@@ -101,6 +103,7 @@ class Basis:
             raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
+    @checked(k="< n")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
         if not 0 <= k < self.n:
@@ -108,6 +111,7 @@ class Basis:
         signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
         return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
 
+    @checked()
     def truncated(self, n: int) -> "Basis":
         """The first n of the basis functions."""
         if not 1 <= n <= self.n:
@@ -115,6 +119,7 @@ class Basis:
         return Basis(self.eigenvalues[:n], self.eigenfunctions[:, :n], self.mass)
 
 
+@checked(vertices="V 3", faces="F 3 < V")
 def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
     r"""First ``n_basis`` Laplace–Beltrami eigenfunctions of a mesh or point cloud, scaled to unit area.
 
@@ -180,6 +185,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.c
     return sparse.csr_array(stiffness), mass.diagonal()
 
 
+@checked(faces="F 3 < V")
 def edges_of_faces(faces: np.ndarray) -> np.ndarray:
     """(3 F, 2) edges of triangles (F, 3), the smaller vertex first: corners 0–1, 1–2 and 2–0 of every face in turn."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)

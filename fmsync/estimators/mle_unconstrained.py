@@ -5,13 +5,17 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from fmsync import checks
-from fmsync.energy import gram_blocks, neighbour_sums, unconstrained_energy
+from fmsync.checks import checked
+from fmsync.energy import gram_blocks
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.problem import SyncProblem
 from fmsync.so import transpose
 
 
 @estimator("mle-unconstrained")
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle_unconstrained(
     problem: SyncProblem,
     *,

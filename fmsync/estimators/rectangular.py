@@ -21,6 +21,7 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import Trace
 from fmsync.estimators.trust_region import Point, minimise
 from fmsync.so import sym, transpose
@@ -97,12 +98,14 @@ class RectangularEstimate:
     converged: bool
     trace: Trace
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> list[np.ndarray]:
         r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own."""
         edges = self.problem.edges if edges is None else np.asarray(edges)
         return [self.absolute[i].T @ self.absolute[j] for i, j in edges]
 
 
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,

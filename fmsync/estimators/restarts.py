@@ -5,11 +5,13 @@ from typing import Any
 import numpy as np
 
 from fmsync import so
+from fmsync.checks import checked
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
 from fmsync.problem import SyncProblem
 
 
+@checked()
 def mean_of_starts(
     problem: SyncProblem,
     n_starts: int = 10,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
@@ -14,6 +15,7 @@ from fmsync.threads import single_threaded_blas
 _FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
+@checked()
 def solve(
     problem: SyncProblem,
     method: str = "mle",

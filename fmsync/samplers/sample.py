@@ -7,6 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import checks, so
+from fmsync.checks import checked
 from fmsync.diagnostics import ConvergenceWarning, warn_unless_converged
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
@@ -22,6 +23,7 @@ Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains
 _CHECK_EVERY = 50  # warm-up steps between two looks at the energy
 
 
+@checked(warmup=">= 0", kappa=checks.positive, beta=checks.positive)
 def sample(
     problem: SyncProblem,
     method: str = "rlfm",

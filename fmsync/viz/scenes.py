@@ -21,6 +21,7 @@ from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.shape import Shape
 from fmsync.viz.figures import PALETTE, Shown, image_tag
@@ -95,6 +96,7 @@ class Scene(Shown):
         )
 
 
+@checked(points="K < V")
 def scene(
     meshes: Sequence[Shape],
     scalars: Sequence[ArrayLike] | None = None,
