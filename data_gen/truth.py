@@ -14,7 +14,7 @@ import numpy as np
 from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
-from fmsync import functional_map, laplace_beltrami, so
+from fmsync import checks, functional_map, laplace_beltrami, so
 from fmsync.checks import checked
 from fmsync.problem import relative_maps
 from fmsync.shape import Basis, Shape
@@ -114,8 +114,7 @@ def ground_truth(
     edges = graph_edges(graph)
     if len(shapes) != graph.number_of_nodes():
         raise ValueError(f"graph: has {graph.number_of_nodes()} nodes for {len(shapes)} shapes")
-    if tree not in TREES:
-        raise ValueError(f"tree: {tree!r} is none of {', '.join(TREES)}")
+    checks.one_of("tree", tree, TREES)
     if point_maps is None:
         require_common_order(shapes)
     if bases is None:
@@ -137,7 +136,7 @@ def ground_truth(
     absolute = absolute_maps(len(shapes), edges, measured, tree=tree, distortion=distortion)
     mirror = None
     if flip is not None:  # the nearest orthogonal map, of either determinant: odd functions may be odd in number
-        u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], flip))
+        u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], checks.indices("flip", flip, bases[0].n_vertices)))
         mirror = u @ vt
     return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
 
@@ -147,6 +146,7 @@ def measure_maps(
     bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
 ) -> np.ndarray:
     """Raw functional maps (E, n, n) of the edges from the common vertex order, or from point maps; not projected."""
+    checks.indices("edges", np.ravel(edges), len(bases), "bases")
     order = np.arange(bases[0].n_vertices)
     maps = [functional_map(bases[i], bases[j], order if point_maps is None else point_maps[i, j]) for i, j in edges]
     return np.stack(maps)
@@ -184,6 +184,7 @@ def absolute_maps(
 
     ``distortion`` (E,) weighs the edges of the ``"minimum-distortion"`` tree.
     """
+    checks.one_of("tree", tree, TREES)
     lookup = {}
     graph = nx.empty_graph(n_nodes)
     for e, (i, j) in enumerate(np.asarray(edges).tolist()):

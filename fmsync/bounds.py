@@ -138,6 +138,7 @@ def expected_rms_error(
     return n * (n - 1) / 2 * np.sqrt(resistance / information)
 
 
+@checked(sigma2=checks.not_negative)
 @cache
 def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMPLES) -> tuple[float, float]:
     r"""Moments (:math:`E\operatorname{tr}Z`, :math:`E\lVert\mathrm{skew}\,Z\rVert_F^2`) of the paper's noise.

@@ -15,12 +15,14 @@ from fmsync.checks import checked
 _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
-@checked()
+@checked(draws="T ...", truth="...")
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
     draws = np.asarray(draws)
     if draws.ndim == 0 or len(draws) == 0:
         raise ValueError("draws: need at least one along the first axis")
+    if draws.shape[1:] != np.shape(truth):
+        raise ValueError(f"truth: expected {draws.shape[1:]}, as the draws have it, got {np.shape(truth)}")
     return (draws < truth).mean(axis=0)
 
 
@@ -54,7 +56,7 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     return float(rank(distances, np.linalg.norm(truth - mean)))
 
 
-@checked(levels=checks.shares, nominal=checks.shares)
+@checked(levels="P M", nominal="L")
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
@@ -68,7 +70,7 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
     return covered.mean(axis=1), covered.std(axis=1, ddof=1) / np.sqrt(len(levels))
 
 
-@checked(draws="T K n n", truth="K n n", levels=checks.shares)
+@checked(draws="T K n n", truth="K n n", levels="L")
 def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarray:
     r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 

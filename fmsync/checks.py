@@ -25,6 +25,7 @@ Test = Callable[[str, Any, Sizes], Any]  # of a name and a value; returns the va
 
 _ORTHOGONALITY_TOLERANCE = 1e-6
 _ARRAY_LIKE = set(get_args(ArrayLike))
+_SEQUENCES = {list, tuple, Sequence, Iterable}  # whose items a rule is for
 _SIZES = {"N": "n_nodes", "n": "n", "E": "n_edges"}  # letters, and what problems and their answers call them
 
 
@@ -76,7 +77,7 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     origins = {get_origin(kind) or kind: kind for kind in kinds}
     classes = tuple(os.PathLike if kind is Path else kind for kind in origins if kind not in _CONVERTED)
     convert: Test | None = None
-    if callable(rule):
+    if callable(rule) and not {*origins} - {types.NoneType} <= _SEQUENCES:
         convert = functools.partial(_apply, rule)
     elif np.random.Generator in origins and int in origins:
         convert = functools.partial(_apply, _seed)
@@ -166,7 +167,8 @@ def _sequence_test(kind: Any, rule: Rule | None) -> Test:
     return test
 
 
-def _plain(name: str, value: object) -> np.ndarray:
+def plain(name: str, value: object) -> np.ndarray:
+    """An array of whatever kind, but neither masked nor ragged."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name}: a masked array; fill or leave out what is masked")
     try:
@@ -176,7 +178,7 @@ def _plain(name: str, value: object) -> np.ndarray:
 
 
 def _integers(name: str, value: object) -> np.ndarray:
-    found = _plain(name, value)
+    found = plain(name, value)
     if found.size and found.dtype.kind not in "iu":
         raise ValueError(f"{name}: must hold integers, got {found.dtype} of shape {found.shape}")
     return found.astype(np.int64, copy=False)
@@ -200,16 +202,17 @@ def _fitting(name: str, values: np.ndarray, letters: list[str], sizes: Sizes) ->
     return values
 
 
-def _real(name: str, value: object) -> np.ndarray:
-    found = _plain(name, value)
+def real(name: str, value: object) -> np.ndarray:
+    """Real numbers of any shape, NaN and infinity among them, in single precision if they are, else in double."""
+    found = plain(name, value)
     if found.dtype.kind not in "biuf":
         raise ValueError(f"{name}: expected real numbers, got {found.dtype}")
     return found if found.dtype in (np.float32, np.float64) else found.astype(float)
 
 
 def array(name: str, value: object) -> np.ndarray:
-    """Finite real numbers, of any shape, in single precision if they are and otherwise in double."""
-    found = _real(name, value)
+    """Finite :func:`real` numbers."""
+    found = real(name, value)
     if not np.isfinite(found).all():
         bad = np.argwhere(~np.isfinite(found))
         raise ValueError(f"{name}: entry {bad[0].tolist()} is not finite ({len(bad)} such entries)")
@@ -295,7 +298,7 @@ def unused(because: str, **given: tuple[object, object]) -> None:
 
 def indices(name: str, values: object, size: int, what: str = "vertices") -> np.ndarray:
     """Integers (K,) from 0 to ``size`` - 1."""
-    array = _plain(name, values)
+    array = plain(name, values)
     if array.ndim != 1 or (array.size and not np.issubdtype(array.dtype, np.integer)):
         raise ValueError(f"{name}: must be a row of integers, got {array.dtype} of shape {array.shape}")
     bad = np.flatnonzero((array < 0) | (array >= size))
@@ -306,7 +309,7 @@ def indices(name: str, values: object, size: int, what: str = "vertices") -> np.
 
 def edge_weights(weights: ArrayLike | None, edges: np.ndarray) -> np.ndarray:
     """Positive numbers (E,), a copy; ones by default."""
-    array = np.ones(len(edges)) if weights is None else np.array(_real("weights", weights), dtype=float)
+    array = np.ones(len(edges)) if weights is None else np.array(real("weights", weights), dtype=float)
     if array.shape != (len(edges),):
         raise ValueError(f"weights: expected ({len(edges)},), got {array.shape}")
     bad = np.flatnonzero(~((array > 0) & np.isfinite(array)))
@@ -334,7 +337,7 @@ def rotations(name: str, c: np.ndarray, each: str = "node") -> None:
 
 def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     """Edges (E, 2) of a connected graph without self-loops, a copy as int64."""
-    n_nodes, raw = count("n_nodes", n_nodes, least=2), _plain("edges", edges)
+    n_nodes, raw = count("n_nodes", n_nodes, least=2), plain("edges", edges)
     if raw.ndim != 2 or raw.shape[1] != 2 or len(raw) == 0:
         raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {raw.shape}")
     if not np.issubdtype(raw.dtype, np.integer):
@@ -364,5 +367,5 @@ _CONVERTED: dict[Any, Callable[[Any, Rule | None], Test]] = {
     float: lambda kind, rule: functools.partial(_apply, number),
     int: _count_test,
     bool: lambda kind, rule: functools.partial(_apply, flag),
-    **dict.fromkeys((list, tuple, Sequence, Iterable), _sequence_test),
+    **dict.fromkeys(_SEQUENCES, _sequence_test),
 }

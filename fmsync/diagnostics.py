@@ -83,6 +83,7 @@ class Summary:
         row = self.names.index(name)
         return {column: float(getattr(self, column)[row]) for column in _COLUMNS}
 
+    @checked()
     def head(self, count: int) -> "Summary":
         """The first ``count`` scalars."""
         return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))

@@ -55,6 +55,7 @@ class SyncProblem:
     weights: np.ndarray
     provenance: Mapping[str, object]
 
+    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self,
         n_nodes: int,
@@ -155,11 +156,14 @@ class LangevinPrior:
     kappa: np.ndarray
 
     def __post_init__(self) -> None:
-        mean = np.array(self.mean, dtype=float)
-        if mean.ndim != 3:
+        mean = np.array(checks.real("mean", self.mean), dtype=float)
+        if mean.ndim != 3 or mean.shape[1] != mean.shape[2]:
             raise ValueError(f"mean: expected (N, n, n), got {mean.shape}")
         checks.rotations("mean", mean)
-        kappa = np.array(np.broadcast_to(np.asarray(self.kappa, dtype=float), len(mean)))
+        kappa = checks.real("kappa", self.kappa).astype(float)
+        if kappa.shape not in ((), mean.shape[:1]):
+            raise ValueError(f"kappa: expected one number or ({len(mean)},), got {kappa.shape}")
+        kappa = np.array(np.broadcast_to(kappa, len(mean)))
         bad = np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))
         if bad.size:
             raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")

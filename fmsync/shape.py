@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from fmsync import checks
 from fmsync.block_krylov import largest_eigenpairs
 from fmsync.checks import checked
 from fmsync.extras import require
@@ -37,6 +38,8 @@ class Shape:
     name: str = "shape"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name: expected a string, got {self.name!r}")
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
         object.__setattr__(self, "vertices", _read_only(vertices))
         object.__setattr__(self, "faces", None if faces is None else _read_only(faces))
@@ -80,7 +83,7 @@ class Basis:
 
     def __post_init__(self) -> None:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
-            object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
+            object.__setattr__(self, field, _read_only(checks.array(field, getattr(self, field)).astype(np.float64)))
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
             shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
             raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")
@@ -229,7 +232,7 @@ def _triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices as float64 and faces as int64 (or None), or a ValueError that names the first offender."""
-    vertices = np.asarray(vertices, dtype=np.float64)
+    vertices = checks.real(f"{name}: vertices", vertices).astype(np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ValueError(f"{name}: vertices must have shape (V, 3), got {vertices.shape}")
     if len(vertices) == 0:
@@ -241,7 +244,7 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
         )
     if faces is None:
         return vertices, None
-    return vertices, _checked_faces(vertices, np.asarray(faces), name)
+    return vertices, _checked_faces(vertices, checks.plain(f"{name}: faces", faces), name)
 
 
 def _checked_faces(vertices: np.ndarray, faces: np.ndarray, name: str) -> np.ndarray:

@@ -200,6 +200,7 @@ def frechet_mean(
         raise ValueError("rotations: need at least one to take a mean of")
     mean = project_unchecked(np.mean(rotations, axis=0))
     if distance == "chordal":
+        checks.unused("for a chordal mean", tolerance=(tolerance, 1e-10), max_iterations=(max_iterations, 100))
         return mean
     for _ in range(max_iterations):
         step = log_unchecked(transpose(mean) @ rotations).mean(axis=0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as energy
 from fmsync.problem import SyncProblem
@@ -101,6 +101,7 @@ class Estimate:
         cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields: Any
     ) -> "Estimate":
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
+        checks.one_of("group", group, GROUPS)
         absolute = fix_gauge(nearest(absolute, group))
         absolute[0] = np.eye(problem.n)
         fields.setdefault("cost", float(energy(problem, absolute)))

@@ -32,6 +32,8 @@ def maximum_a_posteriori(
 
     The ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
     """  # noqa: E501
+    if prior is None:
+        checks.unused("without a prior", kappa=(kappa, 2.0))
     whole = problem if prior is None else anchored(problem, prior, kappa)
     found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)
     absolute = found.absolute

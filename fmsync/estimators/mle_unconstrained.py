@@ -38,6 +38,7 @@ def mle_unconstrained(
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":
+        checks.unused("with solver='exact'", tolerance=(tolerance, 1e-6), max_iterations=(max_iterations, 500))
         absolute = np.concatenate([np.eye(problem.n)[None], _exact(problem)])
         cost = float(unconstrained_energy(problem, absolute))
         half_gradient = absolute @ gram_blocks(problem) - neighbour_sums(problem, absolute)

@@ -43,6 +43,7 @@ class RectangularSyncProblem:
     weights: np.ndarray
     sizes: np.ndarray = field(init=False, repr=False)
 
+    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self, n_nodes: int, edges: ArrayLike, maps: Iterable[ArrayLike], weights: ArrayLike | None = None
     ) -> None:

@@ -88,7 +88,9 @@ def _reweigh(
         if norm <= tolerance or len(recorder) > rounds:
             break
         inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
-        absolute, _, _ = minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
+        before, (absolute, _, _) = absolute, minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
+        if absolute is before:
+            break  # no step lowers the cost any more: rounding is in the way
     return absolute, cost, np.clip(inlier, 0, 1), norm <= tolerance, recorder.trace()
 
 

@@ -74,7 +74,7 @@ class ConformalCalibration:
             raise ValueError(f"{path}: not a calibration ({error!r}); ConformalCalibration.save writes one") from error
 
 
-@checked(errors="S", levels=checks.shares)
+@checked(errors="S", levels=checks.probability)
 def fit_conformal(
     known: list[Confidence], errors: list[np.ndarray], fitted_on: str = "own shapes", levels: tuple[float, ...] = LEVELS
 ) -> ConformalCalibration:

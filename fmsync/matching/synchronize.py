@@ -80,6 +80,8 @@ class SyncedShapes:
     @checked(i="< N", vertices="K < V")
     def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
+        if not isinstance(vertices, slice):
+            checks.indices("vertices", vertices, self.shapes[i].basis.n_vertices)
         return self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]] @ self.refined[i].T
 
     @checked(i="< N", j="< N")

@@ -60,6 +60,8 @@ class RLFM(Sampler):
         target.only("rlfm", likelihood="langevin")
         problem, kappa = target.problem, target.fixed_kappa()
         self._euclidean, self._exp, self._constrained = target.energy == "euclidean", retraction == "exp", constrained
+        if not constrained:
+            checks.unused("with constrained=False", retraction=(retraction, "exp"))
         if not (self._euclidean or constrained):
             raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
         self._n_kept = problem.n_nodes
