@@ -47,8 +47,6 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     >>> first.name, first.vertices.shape, (first.faces == second.faces).all()
     ('cat0', (1000, 3), np.True_)
     """
-    if count < 1:
-        raise ValueError(f"count = {count}: ask for at least one cat")
     key = f"cats-{count}-{n_vertices}-{seed}-{'symmetric' if symmetric else 'asymmetric'}-{_recipe()}"
     made = cached(key, lambda: _build(count, n_vertices, seed, symmetric))
     return [Shape(vertices, made["faces"], f"cat{k}") for k, vertices in enumerate(made["vertices"])]

@@ -219,10 +219,11 @@ def array(name: str, value: object) -> np.ndarray:
     return found
 
 
-def _seed(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+def _seed(name: str, value: Any) -> Any:
+    items = value if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) else [value]
+    if not all(isinstance(k, int | np.integer) and not isinstance(k, bool) and k >= 0 for k in items):
         raise ValueError(f"{name}: expected a seed (an integer >= 0) or a numpy.random.Generator, got {value!r}")
-    return int(value)
+    return value
 
 
 def flag(name: str, value: object) -> bool:

@@ -213,7 +213,7 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
             f"thin{'' if method == 'heat-bath' else ', or use heat-bath where the energy is Euclidean'}"
         )
     if complaints:
-        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=4)
+        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=5)
 
 
 def _checked(values: np.ndarray) -> np.ndarray:

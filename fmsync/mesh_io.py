@@ -78,7 +78,7 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
         if faces is not None:
             vertices, faces, said = repaired(vertices, faces, manifold)
             for line in said:
-                warnings.warn(f"{path}: {line}", UserWarning, stacklevel=2)
+                warnings.warn(f"{path}: {line}", UserWarning, stacklevel=3)
         return Shape(vertices, faces, path.stem)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error

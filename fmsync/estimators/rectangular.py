@@ -142,7 +142,7 @@ def solve_rectangular(
         absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
-        warnings.warn(message, RuntimeWarning, stacklevel=2)
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
     gauge = _basis(absolute[0][:, : problem.sizes[0]])
     frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
     return RectangularEstimate(problem, frames, float(trace.cost[-1]), converged, trace)

@@ -60,7 +60,7 @@ def solve(
     if not estimate.converged:
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
-        warnings.warn(message, RuntimeWarning, stacklevel=2)
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
     worst = int(np.argmax(problem.orthogonality_error))
     error = problem.orthogonality_error[worst]
     if estimate.on_group and error > _FAR:
@@ -68,7 +68,7 @@ def solve(
             f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
             "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
         )
-        warnings.warn(message, UserWarning, stacklevel=2)
+        warnings.warn(message, UserWarning, stacklevel=3)
     return estimate
 
 

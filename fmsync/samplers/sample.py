@@ -105,10 +105,10 @@ def sample(
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
-            warnings.warn(said, ConvergenceWarning, stacklevel=2)
+            warnings.warn(said, ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
-    warn_unless_converged(post)
+    checks.unchecked(warn_unless_converged)(post)
     return post
 
 
