@@ -42,7 +42,7 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     return float(chi2.sf(((observed - expected) ** 2 / expected).sum(), bins - 1))
 
 
-@checked(draws="T m n", truth="m n")
+@checked(draws=checks.array, truth="m n")
 def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Probability of the smallest credible ball that holds the truth (n, n), from draws (T, n, n) of a relative map.
 

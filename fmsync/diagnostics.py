@@ -121,7 +121,7 @@ class Summary:
 _COLUMNS = ("mean", "sd", "r_hat", "ess_bulk", "ess_tail")
 
 
-@checked(values="K T")
+@checked(values=checks.real)
 def rhat(values: np.ndarray) -> float:
     """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, agree.
 
@@ -138,7 +138,7 @@ def rhat(values: np.ndarray) -> float:
     return float(array_stats.rhat(values)) if _varies(values) else np.nan
 
 
-@checked(values="K T")
+@checked(values=checks.real)
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
     checks.one_of("kind", kind, ("bulk", "tail"))

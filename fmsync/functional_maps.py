@@ -11,7 +11,7 @@ from fmsync.checks import checked, unchecked
 from fmsync.shape import Basis
 
 
-@checked(point_map="V < W")
+@checked(point_map=checks.plain)
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
     r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
@@ -31,7 +31,7 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
     return basis_i.coefficients(basis_j.eigenfunctions[point_map])
 
 
-@checked(descriptors_i="V K", descriptors_j="W K", commutativity=checks.not_negative)
+@checked(descriptors_i=checks.real, descriptors_j=checks.real, commutativity=checks.not_negative)
 def functional_map_from_descriptors(
     basis_i: Basis,
     basis_j: Basis,
@@ -84,7 +84,7 @@ def functional_map_from_descriptors(
     return _fit_rows(a, b, weight * (values_i[:, None] - values_j) ** 2)
 
 
-@checked(c_ij="m n", vertices="K < V")
+@checked(c_ij=checks.real, vertices=checks.plain)
 def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.ndarray | None = None) -> np.ndarray:
     r"""Point map of a functional map: x goes to :math:`\arg\min_y \lVert (\Phi_i C_{ij})_x - (\Phi_j)_y \rVert`.
 

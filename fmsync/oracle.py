@@ -7,7 +7,7 @@ from fmsync.checks import checked
 from fmsync.problem import fix_gauge_unchecked as fix_gauge
 
 
-@checked(draws="K N n n", truth="N n n rotations", counts="M < K1")
+@checked(draws=checks.array, truth="N n n rotations", counts="M < K1")
 def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = None) -> np.ndarray:
     r"""Oracle accuracy against the number of samples.
 

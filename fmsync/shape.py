@@ -106,7 +106,7 @@ class Basis:
             raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
-    @checked(k="< n")
+    @checked(k=">= 0")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
         if not 0 <= k < self.n:
@@ -122,7 +122,7 @@ class Basis:
         return Basis(self.eigenvalues[:n], self.eigenfunctions[:, :n], self.mass)
 
 
-@checked(vertices="V 3", faces="F 3 < V")
+@checked(vertices=checks.real, faces=checks.plain, n_basis=">= 0")
 def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
     r"""First ``n_basis`` Laplace–Beltrami eigenfunctions of a mesh or point cloud, scaled to unit area.
 

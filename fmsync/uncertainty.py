@@ -8,7 +8,7 @@ from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.shape import Basis
 
 
-@checked(relative_draws="K m n", vertex=">= 0")
+@checked(relative_draws=checks.array, vertex=">= 0")
 def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
     r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
 

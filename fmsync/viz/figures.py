@@ -14,6 +14,7 @@ from matplotlib.rcsetup import cycler
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from fmsync import checks
 from fmsync.checks import checked
 
 # Okabe & Ito: told apart under every common colour blindness
@@ -129,7 +130,7 @@ def freeze(fig: Figure, scale: float) -> bytes:
     return buffer.getvalue()
 
 
-@checked(matrices="n m")
+@checked(matrices=checks.array)
 def heatmaps(
     matrices: Sequence[ArrayLike],
     titles: Sequence[str] | None = None,
