@@ -73,7 +73,6 @@ def relative_error_bound(
     >>> fmsync.relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
     array([0.02, 0.02, 0.02])
     """
-    checks.not_negative("sigma2", sigma2)
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
 
 
@@ -129,7 +128,6 @@ def expected_rms_error(
     >>> float(fmsync.expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
     0.6
     """
-    checks.not_negative("sigma2", sigma2)
     resistance = effective_resistance(n_nodes, edges, pairs)
     if sigma2 == 0:
         return np.zeros_like(resistance)

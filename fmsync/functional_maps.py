@@ -72,7 +72,6 @@ def functional_map_from_descriptors(
     if descriptors_i.shape[1] != descriptors_j.shape[1]:
         counts = f"{descriptors_i.shape[1]} descriptors on i but {descriptors_j.shape[1]} on j"
         raise ValueError(f"descriptors_j: {counts}; need the same")
-    checks.not_negative("commutativity", commutativity)
     if orthogonal and basis_i.n != basis_j.n:
         raise ValueError(f"an orthogonal map needs bases of one size, got {basis_i.n} and {basis_j.n}: truncate one")
 

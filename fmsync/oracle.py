@@ -51,6 +51,5 @@ def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Genera
 
     ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
     """
-    checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)
     return np.concatenate([fix_gauge(first)[None], fix_gauge(uniform)])

@@ -184,7 +184,6 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
     """
     check_prior(problem, prior)
-    checks.positive("kappa", kappa)
     held = np.flatnonzero(prior.kappa)
     edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
     maps = np.concatenate([problem.maps, prior.mean[held]])

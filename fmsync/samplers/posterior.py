@@ -75,7 +75,6 @@ class Posterior:
         radius is the (k+1)-th smallest of these T distances, k the largest integer with k/T <= ``level``, so that the
         ball covers a truth exactly when :func:`fmsync.calibration.ball_level` is at most ``level``.
         """
-        checks.probability("level", level)
         edges = self._edges(edges)
         centres = self.relative_mean(edges, projected=False)
         count = self.n_chains * self.n_draws

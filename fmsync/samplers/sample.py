@@ -91,9 +91,6 @@ def sample(
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
     kind, _ = SAMPLERS.find(method, options)
-    counts = {"n_chains": n_chains, "n_draws": n_draws, "thin": thin}
-    n_chains, n_draws, thin = (checks.count(name, count) for name, count in counts.items())
-    warmup = checks.count("warmup", warmup, least=0)
     target = Target(problem, prior, kappa, beta, likelihood, energy)
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
