@@ -23,6 +23,7 @@ row cannot, so their standardised differences are also added: ``"Monte Carlo tog
 """
 
 import json
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -113,6 +114,11 @@ def verify(
         rows = sound[number == k]
         row = rows.iloc[0]
         problem, options = json.loads(row.problem), json.loads(row.options)
+        module = row.generator.partition(":")[0]
+        if module.partition(".")[0] != "bench" and module not in sys.modules:
+            raise ValueError(
+                f"generator: {row.generator!r} is not part of bench; import it first if you trust the table"
+            )
         run = Run(row.generator, problem, int(row.seed), row.label, row.method, options, *_LIMITS)
         try:
             data_hash(run.generator, run.problem)

@@ -11,6 +11,7 @@ from data_gen.cache import cached
 from data_gen.cat_mesh import rest_mesh
 from data_gen.cat_pose import POSES, Pose, Rig, muscle_tone
 from data_gen.self_intersection import self_intersections
+from fmsync.checks import checked
 from fmsync.shape import Shape
 
 _GROWTH = 0.04  # how much larger the right half is when the symmetry is broken
@@ -20,6 +21,7 @@ _DRAWS = 30  # tries to find a pose that does not pass through itself
 _MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
 
 
+@checked(seed=">= 0")
 def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool = False) -> list[Shape]:
     """Poses of the synthetic cat, the same for the same arguments, bit by bit.
 
@@ -45,13 +47,12 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     >>> first.name, first.vertices.shape, (first.faces == second.faces).all()
     ('cat0', (1000, 3), np.True_)
     """
-    if count < 1:
-        raise ValueError(f"count = {count}: ask for at least one cat")
     key = f"cats-{count}-{n_vertices}-{seed}-{'symmetric' if symmetric else 'asymmetric'}-{_recipe()}"
     made = cached(key, lambda: _build(count, n_vertices, seed, symmetric))
     return [Shape(vertices, made["faces"], f"cat{k}") for k, vertices in enumerate(made["vertices"])]
 
 
+@checked()
 def left_right_flip(n_vertices: int = 5000) -> np.ndarray:
     """The vertex opposite to each vertex (V,) on the cats of ``load_collection("cats", n_vertices=...)``.
 

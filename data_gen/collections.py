@@ -8,10 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
+from fmsync import checks
+from fmsync.checks import checked
 from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 
+@checked(seed=">= 0")
 def load_collection(
     source: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -45,6 +48,8 @@ def load_collection(
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
     if isinstance(source, str) and source == "cats":
         return cats(count=count, n_vertices=n_vertices, seed=seed, symmetric=symmetric)
+    given = {"count": (count, 11), "n_vertices": (n_vertices, 5000), "seed": (seed, 0), "symmetric": (symmetric, False)}
+    checks.unused("for files", **given)
     return [read_shape(file) for file in collection_files(source)]
 
 
@@ -71,6 +76,7 @@ def require_common_order(shapes: Sequence[Shape]) -> None:
         )
 
 
+@checked()
 def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np.ndarray]:
     """Where the points of a common template lie on each shape, from the files ``<name>.vts`` or ``<name>.txt``.
 
@@ -87,6 +93,7 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
     return found
 
 
+@checked(correspondences="K < V", edges="E 2 < N")
 def correspondence_maps(
     shapes: Sequence[Shape], correspondences: Sequence[np.ndarray], edges: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:
@@ -109,6 +116,7 @@ def correspondence_maps(
     >>> bool((maps[0, 1] == np.arange(1000)).all())
     True
     """
+    checks.indices("edges", np.ravel(edges), len(shapes), "shapes")
     edges = [(int(i), int(j)) for i, j in np.asarray(edges)]
     nearest = {}  # template point for every vertex of a shape
     for i in {i for i, _ in edges}:

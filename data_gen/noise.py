@@ -10,6 +10,7 @@ import fmsync
 from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, checks, so
+from fmsync.checks import checked
 
 _VERSIONS = {
     "fmsync": fmsync.__version__,
@@ -19,6 +20,7 @@ _VERSIONS = {
 }
 
 
+@checked()
 def perturb(
     truth: GroundTruth,
     sigma2: float | None = None,

@@ -18,7 +18,8 @@ from data_gen.cache import cached, checksum
 from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
-from fmsync import block_krylov, functional_map, laplace_beltrami, so
+from fmsync import block_krylov, checks, functional_map, laplace_beltrami, so
+from fmsync.checks import checked
 from fmsync.problem import relative_maps
 from fmsync.shape import Basis, Shape
 
@@ -69,11 +70,13 @@ class GroundTruth:
         """Consistent relative maps C_i^T C_j of the edges, (E, n, n)."""
         return self.relative(self.edges)
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray) -> np.ndarray:
         """Consistent relative maps of any pairs (K, 2)."""
         return relative_maps(self.absolute, edges)
 
 
+@checked(flip="V < W")
 def ground_truth(
     shapes: Sequence[Shape],
     graph: nx.Graph,
@@ -116,8 +119,7 @@ def ground_truth(
     edges = graph_edges(graph)
     if len(shapes) != graph.number_of_nodes():
         raise ValueError(f"graph: has {graph.number_of_nodes()} nodes for {len(shapes)} shapes")
-    if tree not in TREES:
-        raise ValueError(f"tree: {tree!r} is none of {', '.join(TREES)}")
+    checks.one_of("tree", tree, TREES)
     if point_maps is None:
         require_common_order(shapes)
     if bases is None:
@@ -139,7 +141,7 @@ def ground_truth(
     absolute = absolute_maps(len(shapes), edges, measured, tree=tree, distortion=distortion)
     mirror = None
     if flip is not None:  # the nearest orthogonal map, of either determinant: odd functions may be odd in number
-        u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], flip))
+        u, _, vt = np.linalg.svd(functional_map(bases[0], bases[0], checks.indices("flip", flip, bases[0].n_vertices)))
         mirror = u @ vt
     return GroundTruth(absolute, edges, measured, tuple(bases), provenance, mirror)
 
@@ -152,15 +154,18 @@ def _basis(shape: Shape, n_basis: int) -> Basis:
     return Basis(**cached(key, lambda: vars(laplace_beltrami(shape.vertices, shape.faces, n_basis))))
 
 
+@checked(edges="E 2 < N")
 def measure_maps(
     bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
 ) -> np.ndarray:
     """Raw functional maps (E, n, n) of the edges from the common vertex order, or from point maps; not projected."""
+    checks.indices("edges", np.ravel(edges), len(bases), "bases")
     order = np.arange(bases[0].n_vertices)
     maps = [functional_map(bases[i], bases[j], order if point_maps is None else point_maps[i, j]) for i, j in edges]
     return np.stack(maps)
 
 
+@checked()
 def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
     """Flip one eigenfunction on each shape whose map to the first has a negative determinant.
 
@@ -179,6 +184,7 @@ def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.nd
     return fixed
 
 
+@checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E")
 def absolute_maps(
     n_nodes: int,
     edges: np.ndarray,
@@ -191,6 +197,7 @@ def absolute_maps(
 
     ``distortion`` (E,) weighs the edges of the ``"minimum-distortion"`` tree.
     """
+    checks.one_of("tree", tree, TREES)
     lookup = {}
     graph = nx.empty_graph(n_nodes)
     for e, (i, j) in enumerate(np.asarray(edges).tolist()):
@@ -206,6 +213,7 @@ def absolute_maps(
     return so.project(absolute)
 
 
+@checked(n_nodes=">= 2")
 def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
     """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
 

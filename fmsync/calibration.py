@@ -9,17 +9,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from fmsync import checks
+from fmsync.checks import checked
+
 _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
+@checked(draws="T ...", truth="...")
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
     draws = np.asarray(draws)
     if draws.ndim == 0 or len(draws) == 0:
         raise ValueError("draws: need at least one along the first axis")
+    if draws.shape[1:] != np.shape(truth):
+        raise ValueError(f"truth: expected {draws.shape[1:]}, as the draws have it, got {np.shape(truth)}")
     return (draws < truth).mean(axis=0)
 
 
+@checked(ranks=checks.shares, bins=">= 2")
 def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     r"""p-value of the :math:`\chi^2` test that ranks (P,) among ``n_draws`` draws are uniform.
 
@@ -35,6 +42,7 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     return float(chi2.sf(((observed - expected) ** 2 / expected).sum(), bins - 1))
 
 
+@checked(draws=checks.array, truth="m n")
 def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Probability of the smallest credible ball that holds the truth (n, n), from draws (T, n, n) of a relative map.
 
@@ -48,6 +56,7 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     return float(rank(distances, np.linalg.norm(truth - mean)))
 
 
+@checked(levels="P M", nominal="L")
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
@@ -61,6 +70,7 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
     return covered.mean(axis=1), covered.std(axis=1, ddof=1) / np.sqrt(len(levels))
 
 
+@checked(draws="T K n n", truth="K n n", levels="L")
 def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarray:
     r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 
@@ -75,11 +85,13 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
     return np.linalg.norm(truth - centre, axis=(-2, -1)) <= radii
 
 
+@checked(shares="L", levels="L")
 def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
     """Mean distance of coverage (L,) from the levels (L,) that were promised."""
     return round(float(np.abs(np.subtract(shares, levels)).mean()), 12)
 
 
+@checked(draws="T ... m n", truth="... m n")
 def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Energy score :math:`E\lVert C-C^*\rVert_F - \tfrac12E\lVert C-C'\rVert_F` of draws; lower is better.
 

@@ -8,9 +8,11 @@ All of them live on the basis of unit area, so units and scale do not matter. Th
 import numpy as np
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.shape import Basis
 
 
+@checked()
 def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     r"""Heat kernel signature :math:`\sum_k e^{-\lambda_k t} \phi_k(x)^2 / \sum_k e^{-\lambda_k t}` (Sun et al. 2009).
 
@@ -21,6 +23,7 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
 
 
+@checked()
 def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     r"""Wave kernel signature :math:`\sum_k w_k(e) \phi_k(x)^2 / \sum_k w_k(e)` (Aubry et al. 2011).
 
@@ -41,6 +44,7 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     return _squares_averaged(basis, weights)
 
 
+@checked(landmarks="L < V")
 def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.ndarray:
     r"""Heat at every vertex from a unit source at each landmark, :math:`\sum_k e^{-\lambda_k t} \phi_k(x) \phi_k(y)`.
 

@@ -5,18 +5,20 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from arviz_stats.base import array_stats
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.problem import SyncProblem
 
 _MAX_PAIRS = 10
 _LARGEST_RHAT, _LEAST_ESS = 1.01, 400
 
 
+@runtime_checkable
 class Draws(Protocol):
     """What is looked at of a posterior (:class:`fmsync.Posterior`)."""
 
@@ -81,6 +83,7 @@ class Summary:
         row = self.names.index(name)
         return {column: float(getattr(self, column)[row]) for column in _COLUMNS}
 
+    @checked()
     def head(self, count: int) -> "Summary":
         """The first ``count`` scalars."""
         return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))
@@ -118,6 +121,7 @@ class Summary:
 _COLUMNS = ("mean", "sd", "r_hat", "ess_bulk", "ess_tail")
 
 
+@checked(values=checks.real)
 def rhat(values: np.ndarray) -> float:
     """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, agree.
 
@@ -134,6 +138,7 @@ def rhat(values: np.ndarray) -> float:
     return float(array_stats.rhat(values)) if _varies(values) else np.nan
 
 
+@checked(values=checks.real)
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
     checks.one_of("kind", kind, ("bulk", "tail"))
@@ -143,6 +148,7 @@ def ess(values: np.ndarray, kind: str = "bulk") -> float:
     return float(array_stats.ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
 
 
+@checked(edges="K 2 < N")
 def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Gauge-invariant scalars of every draw, each (chains, draws): the energy, and of some relative maps two numbers.
 
@@ -159,6 +165,7 @@ def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarra
     return values
 
 
+@checked(edges="K 2 < N")
 def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
 
@@ -172,6 +179,7 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
 
+@checked()
 def warn_unless_converged(post: Draws) -> None:
     """Warn when the energy or an inferred concentration has R-hat above 1.01 or fewer than 400 effective draws.
 
@@ -205,7 +213,7 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
             f"thin{'' if method == 'heat-bath' else ', or use heat-bath where the energy is Euclidean'}"
         )
     if complaints:
-        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=4)
+        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=5)
 
 
 def _checked(values: np.ndarray) -> np.ndarray:

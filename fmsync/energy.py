@@ -8,12 +8,15 @@ import numba
 import numpy as np
 
 from fmsync import so
-from fmsync.problem import SyncProblem, relative_maps
+from fmsync.checks import checked, unchecked
+from fmsync.problem import SyncProblem
+from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.so import skew, sym, transpose
 
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
 
 
+@checked(c="... N m n")
 def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""S_j (..., N, n, n), the weighted sum of what every neighbour says about C_j.
 
@@ -28,9 +31,10 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
         stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
         sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
         return np.ascontiguousarray(sums).reshape(c.shape)
-    return np.ascontiguousarray(transpose(sparse_sums(problem, transpose(c))))
+    return np.ascontiguousarray(transpose(sparse_sums_unchecked(problem, transpose(c))))
 
 
+@checked(blocks="... N n m", maps="E n n")
 def sparse_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
     r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`, along the edges.
 
@@ -94,6 +98,7 @@ def _sparse_sums(
             first = last
 
 
+@checked(c="... N n n")
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
     total = np.zeros(c.shape[:-3])
@@ -104,27 +109,31 @@ def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return total[()]
 
 
+@checked(c="... N n n", sums="... N n n")
 def gradient(problem: SyncProblem, c: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
     r"""Body-frame gradient of ``energy``: :math:`g_j = -2\,\mathrm{skew}(C_j^\top S_j)`, (..., N, n, n)."""
-    sums = neighbour_sums(problem, c) if sums is None else sums
+    sums = neighbour_sums_unchecked(problem, c) if sums is None else sums
     return -2 * skew(transpose(c) @ sums)
 
 
+@checked(c="... N n n", omega="... N n n skew", sums="... N n n")
 def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
     r"""Riemannian Hessian of ``energy`` along skew Ω: :math:`-2\,\mathrm{skew}(C_j^\top\dot S_j - \Omega_j\,\mathrm{sym}(C_j^\top S_j))`.
 
     Ṡ is S at the variation CΩ.
     """  # noqa: E501
-    sums = neighbour_sums(problem, c) if sums is None else sums
-    moving = neighbour_sums(problem, c @ omega)
+    sums = neighbour_sums_unchecked(problem, c) if sums is None else sums
+    moving = neighbour_sums_unchecked(problem, c @ omega)
     return -2 * skew(transpose(c) @ moving - omega @ sym(transpose(c) @ sums))
 
 
+@checked(c="... N n n rotations")
 def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` (maps are rotations)."""
-    return (problem.weights * so.dist(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
+    return (problem.weights * so.dist_unchecked(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
 
 
+@checked(c="... N n n rotations")
 def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Body-frame gradient of ``geodesic_energy``, (..., N, n, n).
 
@@ -132,7 +141,7 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
     """
     relative = relative_maps(c, problem.edges)
-    pull = 2 * problem.weights[:, None, None] * so.log(transpose(problem.maps) @ relative)  # (..., E, n, n)
+    pull = 2 * problem.weights[:, None, None] * so.log_unchecked(transpose(problem.maps) @ relative)  # (..., E, n, n)
     push = relative @ pull @ transpose(relative)
     g = np.zeros(c.shape)
     i, j = problem.edges.T
@@ -142,6 +151,7 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return g
 
 
+@checked()
 def gram_blocks(problem: SyncProblem) -> np.ndarray:
     r"""(N, n, n) sums of :math:`w C_{ij} C_{ij}^\top` over edges out of a node and of w I over edges into it.
 
@@ -154,8 +164,16 @@ def gram_blocks(problem: SyncProblem) -> np.ndarray:
     return gram
 
 
+@checked(c="... N n n")
 def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r""":math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` for arbitrary matrices C_i; equals ``energy`` on rotations."""
     i, j = problem.edges.T
     residual = c[..., i, :, :] @ problem.maps - c[..., j, :, :]
     return (problem.weights * (residual**2).sum((-2, -1))).sum(-1)
+
+
+# without the tests of arguments: for loops inside the library
+neighbour_sums_unchecked, sparse_sums_unchecked = unchecked(neighbour_sums), unchecked(sparse_sums)
+energy_unchecked, gradient_unchecked = unchecked(energy), unchecked(gradient)
+unconstrained_energy_unchecked = unchecked(unconstrained_energy)
+geodesic_energy_unchecked, geodesic_gradient_unchecked = unchecked(geodesic_energy), unchecked(geodesic_gradient)

@@ -7,9 +7,11 @@ j are pulled back along a point map from i to j, and ``C_ij @ C_jk`` is ``C_ik``
 import numpy as np
 
 from fmsync import checks, so
+from fmsync.checks import checked, unchecked
 from fmsync.shape import Basis
 
 
+@checked(point_map=checks.plain)
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
     r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
@@ -29,6 +31,7 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
     return basis_i.coefficients(basis_j.eigenfunctions[point_map])
 
 
+@checked(descriptors_i=checks.real, descriptors_j=checks.real, commutativity=checks.not_negative)
 def functional_map_from_descriptors(
     basis_i: Basis,
     basis_j: Basis,
@@ -67,8 +70,8 @@ def functional_map_from_descriptors(
     descriptors_i = _checked_descriptors(descriptors_i, basis_i, "descriptors_i")
     descriptors_j = _checked_descriptors(descriptors_j, basis_j, "descriptors_j")
     if descriptors_i.shape[1] != descriptors_j.shape[1]:
-        raise ValueError(f"{descriptors_i.shape[1]} descriptors on i but {descriptors_j.shape[1]} on j: need the same")
-    checks.not_negative("commutativity", commutativity)
+        counts = f"{descriptors_i.shape[1]} descriptors on i but {descriptors_j.shape[1]} on j"
+        raise ValueError(f"descriptors_j: {counts}; need the same")
     if orthogonal and basis_i.n != basis_j.n:
         raise ValueError(f"an orthogonal map needs bases of one size, got {basis_i.n} and {basis_j.n}: truncate one")
 
@@ -81,6 +84,7 @@ def functional_map_from_descriptors(
     return _fit_rows(a, b, weight * (values_i[:, None] - values_j) ** 2)
 
 
+@checked(c_ij=checks.real, vertices=checks.plain)
 def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.ndarray | None = None) -> np.ndarray:
     r"""Point map of a functional map: x goes to :math:`\arg\min_y \lVert (\Phi_i C_{ij})_x - (\Phi_j)_y \rVert`.
 
@@ -101,9 +105,10 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     rows = basis_i.eigenfunctions
     if vertices is not None:
         rows = rows[checks.indices("vertices", vertices, basis_i.n_vertices)]
-    return nearest_rows(rows @ c_ij, basis_j.eigenfunctions)
+    return nearest_rows_unchecked(rows @ c_ij, basis_j.eigenfunctions)
 
 
+@checked(queries="Q n", targets="V n")
 def nearest_rows(queries: np.ndarray, targets: np.ndarray, block: int = 128) -> np.ndarray:
     """Index of the target (V, n) nearest to each query (Q, n)."""
     # ‖q − t‖² = ‖q‖² + (‖t‖² − 2 q·t): the bracket is one product with a column more, and orders as the distance does.
@@ -125,9 +130,9 @@ def _fit_rows(a: np.ndarray, b: np.ndarray, penalty: np.ndarray) -> np.ndarray:
 def _fit_rotation(target: np.ndarray, weight: float, values_i: np.ndarray, values_j: np.ndarray) -> np.ndarray:
     """Maximise tr(Cᵀ target) + weight · tr(Cᵀ Λ_i C Λ_j) over SO(n), starting from the first term's maximum."""
     outer = 2 * weight * values_i[:, None] * values_j  # Λ_i C Λ_j is an entrywise product with this
-    c = so.project(target)
+    c = so.project_unchecked(target)
     for _ in range(1000):
-        previous, c = c, so.project(target + outer * c)
+        previous, c = c, so.project_unchecked(target + outer * c)
         if np.abs(c - previous).max() < 1e-9:
             break
     return c
@@ -141,3 +146,6 @@ def _checked_descriptors(descriptors: np.ndarray, basis: Basis, name: str) -> np
     if len(bad):
         raise ValueError(f"{name}: descriptor {bad[0][1]} is not finite at vertex {bad[0][0]}")
     return descriptors
+
+
+nearest_rows_unchecked = unchecked(nearest_rows)  # for loops

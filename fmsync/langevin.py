@@ -61,7 +61,7 @@ def matched_kappa(n: int, cosine: float) -> float:
     Mean cosines <= 0 give 0. For the noise proj(I + σG), ``cosine`` is E tr Z / n
     (:func:`fmsync.bounds.projected_noise_moments`).
     """
-    if cosine <= 0:
+    if checks.number("cosine", cosine) <= 0:
         return 0.0
     low, high = 0.0, 1.0
     while mean_cosine(n, high) < cosine:
@@ -79,7 +79,7 @@ def matched_kappa(n: int, cosine: float) -> float:
 
 def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     checks.count("n", n, least=2)
-    kappa = np.asarray(kappa, dtype=float)
+    kappa = checks.real("kappa", kappa).astype(float)
     flat = kappa.ravel()
     bad = flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]
     if bad.size:

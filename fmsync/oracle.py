@@ -3,9 +3,11 @@ r"""The paper's oracle accuracy: how near the truth lies the best map that can b
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.problem import fix_gauge
+from fmsync.checks import checked
+from fmsync.problem import fix_gauge_unchecked as fix_gauge
 
 
+@checked(draws=checks.array, truth="N n n rotations", counts="M < K1")
 def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = None) -> np.ndarray:
     r"""Oracle accuracy against the number of samples.
 
@@ -43,11 +45,11 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     return (1 / (1 + np.sqrt(squared[counts - 1]))).mean(axis=1)
 
 
+@checked(first="N n n rotations")
 def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Generator = 0) -> np.ndarray:
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 
     ``first`` (N, n, n) are absolute maps, e.g. of the maximum of the likelihood, and count as a sample.
     """
-    checks.count("n_samples", n_samples)
     uniform = so.random_uniform(first.shape[-1], (n_samples - 1, len(first)), rng)
     return np.concatenate([fix_gauge(first)[None], fix_gauge(uniform)])

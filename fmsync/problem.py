@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmsync import checks
+from fmsync.checks import checked, unchecked
 from fmsync.files import replacing
 from fmsync.so import transpose
 
@@ -54,6 +55,7 @@ class SyncProblem:
     weights: np.ndarray
     provenance: Mapping[str, object]
 
+    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self,
         n_nodes: int,
@@ -154,11 +156,14 @@ class LangevinPrior:
     kappa: np.ndarray
 
     def __post_init__(self) -> None:
-        mean = np.array(self.mean, dtype=float)
-        if mean.ndim != 3:
+        mean = np.array(checks.real("mean", self.mean), dtype=float)
+        if mean.ndim != 3 or mean.shape[1] != mean.shape[2]:
             raise ValueError(f"mean: expected (N, n, n), got {mean.shape}")
         checks.rotations("mean", mean)
-        kappa = np.array(np.broadcast_to(np.asarray(self.kappa, dtype=float), len(mean)))
+        kappa = checks.real("kappa", self.kappa).astype(float)
+        if kappa.shape not in ((), mean.shape[:1]):
+            raise ValueError(f"kappa: expected one number or ({len(mean)},), got {kappa.shape}")
+        kappa = np.array(np.broadcast_to(kappa, len(mean)))
         bad = np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))
         if bad.size:
             raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")
@@ -170,6 +175,7 @@ class LangevinPrior:
         object.__setattr__(self, "kappa", kappa)
 
 
+@checked(kappa=checks.positive)
 def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncProblem:
     r"""The problem with its prior written as observations from one more node, the anchor, held at the identity.
 
@@ -178,7 +184,6 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
     """
     check_prior(problem, prior)
-    checks.positive("kappa", kappa)
     held = np.flatnonzero(prior.kappa)
     edges = np.stack([np.full(len(held), problem.n_nodes), held], axis=1)
     maps = np.concatenate([problem.maps, prior.mean[held]])
@@ -186,6 +191,7 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     return SyncProblem(problem.n_nodes + 1, np.concatenate([problem.edges, edges]), maps, weights)
 
 
+@checked()
 def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
     """Raise a ValueError unless the prior has a mode for every map."""
     expected = (problem.n_nodes, problem.n, problem.n)
@@ -193,17 +199,20 @@ def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
         raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
 
 
+@checked(absolute="... N n n", edges="K 2 < N")
 def relative_maps(absolute: np.ndarray, edges: np.ndarray) -> np.ndarray:
     r"""Relative maps :math:`C_i^\top C_j` (..., E, n, n) of absolute rotations (..., N, n, n)."""
     i, j = np.asarray(edges).T
     return transpose(absolute[..., i, :, :]) @ absolute[..., j, :, :]
 
 
+@checked(absolute="... N n n", node="< N")
 def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
     """The equivalent rotations with C_node = I; (..., N, n, n)."""
     return transpose(absolute[..., node, None, :, :]) @ absolute
 
 
+@checked(n_nodes="N >= 2", edges="E 2 < N", maps="E n n")
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
@@ -220,6 +229,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     return np.array([np.linalg.norm(lookup[i, j] @ lookup[j, k] @ lookup[k, i] - identity) for i, j, k in triangles])
 
 
+@checked()
 def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     """Write a problem; the file appears whole or not at all.
 
@@ -242,6 +252,7 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     return path
 
 
+@checked()
 def load_problem(path: str | Path) -> SyncProblem:
     """Read a problem written by :func:`save_problem`; a ValueError names the file when it is not one."""
     data = Path(path).read_bytes()
@@ -251,3 +262,6 @@ def load_problem(path: str | Path) -> SyncProblem:
         return SyncProblem(int(n_nodes), edges, maps, weights, json.loads(record.tobytes()))
     except Exception as error:  # damaged archives raise errors of six kinds
         raise ValueError(f"{path}: not a complete problem file ({error}); write it again with save_problem") from error
+
+
+relative_maps_unchecked, fix_gauge_unchecked = unchecked(relative_maps), unchecked(fix_gauge)  # for loops

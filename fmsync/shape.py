@@ -12,7 +12,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from fmsync import checks
 from fmsync.block_krylov import largest_eigenpairs
+from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.threads import single_threaded_blas
 
@@ -38,6 +40,8 @@ class Shape:
     name: str = "shape"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name: expected a string, got {self.name!r}")
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
         object.__setattr__(self, "vertices", _read_only(vertices))
         object.__setattr__(self, "faces", None if faces is None else _read_only(faces))
@@ -81,7 +85,7 @@ class Basis:
 
     def __post_init__(self) -> None:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
-            object.__setattr__(self, field, _read_only(np.asarray(getattr(self, field), dtype=np.float64)))
+            object.__setattr__(self, field, _read_only(checks.array(field, getattr(self, field)).astype(np.float64)))
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
             shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
             raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")
@@ -102,6 +106,7 @@ class Basis:
         values = self.eigenvalues[1:_SPECTRUM]
         return len(values) > 1 and bool((np.diff(values) < _MULTIPLE * values[:-1]).mean() > _MANY)
 
+    @checked(functions="V ...")
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
         functions = np.asarray(functions)
@@ -109,6 +114,7 @@ class Basis:
             raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
+    @checked(k=">= 0")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
         if not 0 <= k < self.n:
@@ -116,6 +122,7 @@ class Basis:
         signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
         return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
 
+    @checked()
     def truncated(self, n: int) -> "Basis":
         """The first n of the basis functions."""
         if not 1 <= n <= self.n:
@@ -123,6 +130,7 @@ class Basis:
         return Basis(self.eigenvalues[:n], self.eigenfunctions[:, :n], self.mass)
 
 
+@checked(vertices=checks.real, faces=checks.plain, n_basis=">= 0")
 def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
     r"""First ``n_basis`` Laplace–Beltrami eigenfunctions of a mesh or point cloud, scaled to unit area.
 
@@ -188,6 +196,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.c
     return sparse.csr_array(stiffness), mass.diagonal()
 
 
+@checked(faces="F 3 < V")
 def edges_of_faces(faces: np.ndarray) -> np.ndarray:
     """(3 F, 2) edges of triangles (F, 3), the smaller vertex first: corners 0–1, 1–2 and 2–0 of every face in turn."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -231,7 +240,7 @@ def _triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices as float64 and faces as int64 (or None), or a ValueError that names the first offender."""
-    vertices = np.asarray(vertices, dtype=np.float64)
+    vertices = checks.real(f"{name}: vertices", vertices).astype(np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ValueError(f"{name}: vertices must have shape (V, 3), got {vertices.shape}")
     if len(vertices) == 0:
@@ -243,7 +252,7 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
         )
     if faces is None:
         return vertices, None
-    return vertices, _checked_faces(vertices, np.asarray(faces), name)
+    return vertices, _checked_faces(vertices, checks.plain(f"{name}: faces", faces), name)
 
 
 def _checked_faces(vertices: np.ndarray, faces: np.ndarray, name: str) -> np.ndarray:

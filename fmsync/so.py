@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import expm, schur
 
 from fmsync import checks
+from fmsync.checks import checked, unchecked
 
 # Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
 _SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
@@ -32,6 +33,7 @@ def skew(a: np.ndarray) -> np.ndarray:
     return (a - transpose(a)) / 2
 
 
+@checked(c="... n n rotations", v="... n n")
 def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
     r"""Project ambient vectors V (..., n, n) onto the tangent spaces at rotations C (..., n, n).
 
@@ -40,6 +42,7 @@ def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v - c @ sym(transpose(c) @ v)
 
 
+@checked(a="... n n")
 def project(a: np.ndarray) -> np.ndarray:
     r"""Nearest rotation in the Frobenius norm: :math:`U\,\mathrm{diag}(1,\dots,1,\det(UV^\top))\,V^\top`.
 
@@ -60,6 +63,7 @@ def project(a: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
+@checked(a="... n n")
 def qf(a: np.ndarray) -> np.ndarray:
     r"""Q factor of A = QR with the diagonal of R made positive: the paper's retraction :math:`R_C(\xi) = qf(C + \xi)`.
 
@@ -71,11 +75,13 @@ def qf(a: np.ndarray) -> np.ndarray:
     return q * sign[..., None, :]
 
 
+@checked(omega="... n n skew")
 def exp(omega: np.ndarray) -> np.ndarray:
     """Matrix exponential of skew-symmetric (..., n, n): the geodesic from I, by SciPy's scaling and squaring."""
     return expm(omega)
 
 
+@checked(omega="... n n skew")
 def cayley(omega: np.ndarray) -> np.ndarray:
     r"""Cayley retraction :math:`(I - \Omega/2)^{-1}(I + \Omega/2)` of skew-symmetric (..., n, n).
 
@@ -85,6 +91,7 @@ def cayley(omega: np.ndarray) -> np.ndarray:
     return np.linalg.solve(identity - omega / 2, identity + omega / 2)
 
 
+@checked(r="... n n rotations")
 def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
@@ -138,6 +145,7 @@ def _log_schur(r: np.ndarray) -> np.ndarray:
     return skew(z @ block @ z.T)
 
 
+@checked(a="... n n rotations", b="... n n rotations")
 def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     r"""Geodesic distance :math:`\lVert\log(A^\top B)\rVert_F` between rotations, without forming the logarithm.
 
@@ -156,14 +164,20 @@ def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.sqrt((angles**2).sum(-1))
 
 
+def _lengths(name: str, size: object) -> tuple[int, ...]:
+    return tuple(checks.count(name, k, 0) for k in (size if isinstance(size, Iterable) else (size,)))
+
+
+@checked(size=_lengths)
 def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.random.Generator = 0) -> np.ndarray:
     """Haar-uniform rotations ``(*size, n, n)``: the sign-adjusted Q of a Gaussian, one column flipped if det < 0."""
     shape = tuple(size) if isinstance(size, Iterable) else (size,)
-    q = qf(np.random.default_rng(rng).standard_normal((*shape, n, n)))
+    q = qf_unchecked(np.random.default_rng(rng).standard_normal((*shape, n, n)))
     q[..., :, 0] *= np.sign(np.linalg.det(q))[..., None]
     return q
 
 
+@checked(rotations="K ... n n rotations", tolerance=checks.not_negative, max_iterations=">= 0")
 def frechet_mean(
     rotations: np.ndarray, *, distance: str = "geodesic", tolerance: float = 1e-10, max_iterations: int = 100
 ) -> np.ndarray:
@@ -184,15 +198,21 @@ def frechet_mean(
     checks.one_of("distance", distance, ("chordal", "geodesic"))
     if len(rotations) == 0:
         raise ValueError("rotations: need at least one to take a mean of")
-    mean = project(np.mean(rotations, axis=0))
+    mean = project_unchecked(np.mean(rotations, axis=0))
     if distance == "chordal":
+        checks.unused("for a chordal mean", tolerance=(tolerance, 1e-10), max_iterations=(max_iterations, 100))
         return mean
     for _ in range(max_iterations):
-        step = log(transpose(mean) @ rotations).mean(axis=0)
-        mean = mean @ exp(step)
+        step = log_unchecked(transpose(mean) @ rotations).mean(axis=0)
+        mean = mean @ exp_unchecked(step)
         if np.sqrt((step**2).sum((-2, -1))).max() < tolerance:
-            return project(mean)  # takes off the rounding of many products
+            return project_unchecked(mean)  # takes off the rounding of many products
     raise RuntimeError(
         f"frechet_mean: the geodesic fixed point did not converge in {max_iterations} iterations; the rotations are "
         "too spread for a unique mean, use distance='chordal'"
     )
+
+
+# without the tests of arguments: for loops inside the library
+project_unchecked, qf_unchecked, exp_unchecked = unchecked(project), unchecked(qf), unchecked(exp)
+cayley_unchecked, log_unchecked, dist_unchecked = unchecked(cayley), unchecked(log), unchecked(dist)

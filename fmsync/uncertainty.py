@@ -3,10 +3,12 @@
 import numpy as np
 
 from fmsync import checks
-from fmsync.functional_maps import nearest_rows
+from fmsync.checks import checked
+from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.shape import Basis
 
 
+@checked(relative_draws=checks.array, vertex=">= 0")
 def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
     r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
 
@@ -21,6 +23,7 @@ def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, ve
     return nearest_rows(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
 
 
+@checked(images="K < V")
 def image_density(images: np.ndarray, n_vertices: int) -> np.ndarray:
     """How often each vertex was hit, (n_vertices,) counts that sum to the number of draws."""
     return np.bincount(checks.indices("images", images, n_vertices), minlength=n_vertices)

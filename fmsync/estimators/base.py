@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import so
-from fmsync.energy import energy
-from fmsync.problem import SyncProblem, fix_gauge, relative_maps
+from fmsync import checks, so
+from fmsync.checks import checked
+from fmsync.energy import energy_unchecked as energy
+from fmsync.problem import SyncProblem
+from fmsync.problem import fix_gauge_unchecked as fix_gauge
+from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.registry import Registry
 
 Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolute (N,n,n), cost, gradient norm)
@@ -28,7 +31,7 @@ def nearest(a: np.ndarray, group: str) -> np.ndarray:
     if np.abs(rest).max(initial=0) < _ROUNDING and (group == "O" or (np.linalg.det(a) > 0).all()):
         return a - a @ rest / 2
     if group == "SO":
-        return so.project(a)
+        return so.project_unchecked(a)
     u, _, vt = np.linalg.svd(a)
     return u @ vt
 
@@ -93,15 +96,18 @@ class Estimate:
         return 0 if self.trace is None else len(self.trace.cost) - 1
 
     @classmethod
+    @checked(absolute="N n n")
     def from_absolute(
         cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields: Any
     ) -> "Estimate":
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
+        checks.one_of("group", group, GROUPS)
         absolute = fix_gauge(nearest(absolute, group))
         absolute[0] = np.eye(problem.n)
         fields.setdefault("cost", float(energy(problem, absolute)))
         return cls(problem, method, absolute, **fields)
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
         r"""Relative maps (E, n, n): :math:`C_i^\top C_j` on the group, :math:`C_i^{-1} C_j` off it.
 

@@ -6,7 +6,9 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from fmsync.energy import energy, neighbour_sums
+from fmsync.checks import checked
+from fmsync.energy import energy_unchecked as energy
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import Estimate
 from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
@@ -37,6 +39,7 @@ class Certificate:
     gap_bound: float
 
 
+@checked()
 def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificate:
     r"""Certificate of global optimality of the Euclidean energy over :math:`O(n)^N`, hence over :math:`SO(n)^N`.
 

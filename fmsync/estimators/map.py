@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, estimator
 from fmsync.estimators.mle import mle
 from fmsync.problem import LangevinPrior, SyncProblem, anchored, fix_gauge
 
 
 @estimator("map")
+@checked(kappa=checks.positive, tolerance=checks.not_negative, max_iterations=">= 0")
 def maximum_a_posteriori(
     problem: SyncProblem,
     *,
@@ -29,6 +32,8 @@ def maximum_a_posteriori(
 
     The ``cost`` is the energy of the observations plus :math:`\frac{1}{\kappa}\sum\kappa_i\lVert C_i - M_i\rVert_F^2`.
     """  # noqa: E501
+    if prior is None:
+        checks.unused("without a prior", kappa=(kappa, 2.0))
     whole = problem if prior is None else anchored(problem, prior, kappa)
     found = mle(whole, rng=rng, callback=callback, tolerance=tolerance, max_iterations=max_iterations)
     absolute = found.absolute

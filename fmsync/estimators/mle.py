@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise
@@ -9,6 +11,7 @@ from fmsync.problem import SyncProblem
 
 
 @estimator("mle")
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle(
     problem: SyncProblem,
     *,

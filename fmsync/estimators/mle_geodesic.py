@@ -4,11 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.bounds import grounded_laplacian
+from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator
 from fmsync.estimators.starts import starting_point
-from fmsync.problem import SyncProblem, relative_maps
+from fmsync.problem import SyncProblem
+from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.so import transpose
 
 Pairs = list[tuple[np.ndarray, np.ndarray]]  # steps, and the changes of the gradient along them
@@ -18,6 +20,7 @@ _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 
 
 @estimator("mle-geodesic")
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle_geodesic(
     problem: SyncProblem,
     *,
@@ -50,7 +53,7 @@ def _minimise(
     problem: SyncProblem, absolute: np.ndarray, recorder: Recorder, tolerance: float, max_iterations: int
 ) -> tuple[np.ndarray, float, float]:
     """Rotations, their cost and the norm of its gradient."""
-    observed = so.project(problem.maps)
+    observed = so.project_unchecked(problem.maps)
     metric = _laplacian_inverse(problem)
     cost, gradient = _evaluate(problem, observed, absolute)
     norm, pairs = float(np.linalg.norm(gradient)), Pairs()
@@ -81,7 +84,7 @@ def _minimise(
 def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) -> tuple[float, np.ndarray]:
     """Geodesic energy and its gradient in the universe's frame, (N, n, n) skew-symmetric."""
     i, j = problem.edges.T
-    angle = so.log(transpose(observed) @ relative_maps(absolute, problem.edges))  # (E, n, n)
+    angle = so.log_unchecked(transpose(observed) @ relative_maps(absolute, problem.edges))  # (E, n, n)
     cost = float((problem.weights * (angle**2).sum((1, 2))).sum())
     pull = 2 * problem.weights[:, None, None] * (absolute[j] @ angle @ transpose(absolute[j]))
     gradient = np.zeros_like(absolute)
@@ -123,7 +126,7 @@ def _backtrack(
     rounding = 1e-14 * max(1.0, cost)
     while length > 1e-10:
         step = length * direction
-        trial = so.exp(step) @ absolute
+        trial = so.exp_unchecked(step) @ absolute
         trial_cost, trial_gradient = _evaluate(problem, observed, trial)
         if trial_cost <= cost + _SUFFICIENT * length * slope + rounding:
             return step, trial, trial_cost, trial_gradient

@@ -5,13 +5,17 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from fmsync import checks
-from fmsync.energy import gram_blocks, neighbour_sums, unconstrained_energy
+from fmsync.checks import checked
+from fmsync.energy import gram_blocks
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.problem import SyncProblem
 from fmsync.so import transpose
 
 
 @estimator("mle-unconstrained")
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle_unconstrained(
     problem: SyncProblem,
     *,
@@ -34,6 +38,7 @@ def mle_unconstrained(
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":
+        checks.unused("with solver='exact'", tolerance=(tolerance, 1e-6), max_iterations=(max_iterations, 500))
         absolute = np.concatenate([np.eye(problem.n)[None], _exact(problem)])
         cost = float(unconstrained_energy(problem, absolute))
         half_gradient = absolute @ gram_blocks(problem) - neighbour_sums(problem, absolute)

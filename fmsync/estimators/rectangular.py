@@ -25,6 +25,7 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import Trace
 from fmsync.estimators.trust_region import Point, minimise
 from fmsync.so import sym, transpose
@@ -49,6 +50,7 @@ class RectangularSyncProblem:
     weights: np.ndarray
     sizes: np.ndarray = field(init=False, repr=False)
 
+    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self, n_nodes: int, edges: ArrayLike, maps: Iterable[ArrayLike], weights: ArrayLike | None = None
     ) -> None:
@@ -104,6 +106,7 @@ class RectangularEstimate:
     converged: bool
     trace: Trace
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> list[np.ndarray]:
         r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own.
 
@@ -189,6 +192,7 @@ class RectangularEstimate:
         return [frames[i].T @ frames[j] for i, j in np.asarray(edges)]
 
 
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,
@@ -224,7 +228,7 @@ def solve_rectangular(
         absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
-        warnings.warn(message, RuntimeWarning, stacklevel=2)
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
     gauge = _basis(absolute[0][:, : problem.sizes[0]])
     frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
     return RectangularEstimate(problem, frames, float(trace.cost[-1]), converged, trace)

@@ -4,12 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
+from fmsync.checks import checked
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
 from fmsync.problem import SyncProblem
 
 
+@checked()
 def mean_of_starts(
     problem: SyncProblem,
     n_starts: int = 10,
@@ -28,6 +30,7 @@ def mean_of_starts(
     estimate at the mean (:func:`fmsync.so.frechet_mean`), its Euclidean energy as ``cost``, and the single answers. A
     RuntimeError when they are too far apart for a geodesic mean (beyond the recovery threshold); use ``"chordal"``.
     """
+    checks.unused("here, where all starts are random", init=(options.get("init"), None))
     streams = np.random.default_rng(rng).spawn(n_starts)
     starts = [solve(problem, method, rng=stream, init="random", **options) for stream in streams]
     absolute = so.frechet_mean(np.stack([start.absolute for start in starts]), distance=distance)

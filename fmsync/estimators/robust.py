@@ -7,11 +7,13 @@ from typing import Protocol
 import numpy as np
 
 from fmsync import checks, langevin
-from fmsync.energy import gradient
+from fmsync.checks import checked
+from fmsync.energy import gradient_unchecked as gradient
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise
-from fmsync.problem import SyncProblem, relative_maps
+from fmsync.problem import SyncProblem
+from fmsync.problem import relative_maps_unchecked as relative_maps
 
 LOSSES = ("mixture", "geman-mcclure", "l1")
 _LEAST_WEIGHT = 1e-9  # least fraction of its weight that an edge keeps, so that the graph stays connected
@@ -20,6 +22,7 @@ _SMOOTH = 1e-4  # per unit √n: residuals below it count as squares in the l1 l
 
 
 @estimator("robust")
+@checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def robust(
     problem: SyncProblem,
     *,
@@ -85,7 +88,9 @@ def _reweigh(
         if norm <= tolerance or len(recorder) > rounds:
             break
         inner = max(0.03 * norm, 0.1 * tolerance)  # a round need not be solved better than the weights are known
-        absolute, _, _ = minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
+        before, (absolute, _, _) = absolute, minimise(Rotations(weighted), absolute, tolerance=inner, max_iterations=50)
+        if absolute is before:
+            break  # no step lowers the cost any more: rounding is in the way
     return absolute, cost, np.clip(inlier, 0, 1), norm <= tolerance, recorder.trace()
 
 

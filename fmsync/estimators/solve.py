@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
@@ -14,6 +15,7 @@ from fmsync.threads import single_threaded_blas
 _FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
+@checked()
 def solve(
     problem: SyncProblem,
     method: str = "mle",
@@ -58,7 +60,7 @@ def solve(
     if not estimate.converged:
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
-        warnings.warn(message, RuntimeWarning, stacklevel=2)
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
     worst = int(np.argmax(problem.orthogonality_error))
     error = problem.orthogonality_error[worst]
     if estimate.on_group and error > _FAR:
@@ -66,7 +68,7 @@ def solve(
             f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
             "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
         )
-        warnings.warn(message, UserWarning, stacklevel=2)
+        warnings.warn(message, UserWarning, stacklevel=3)
     return estimate
 
 

@@ -4,12 +4,14 @@ import networkx as nx
 import numpy as np
 
 from fmsync import checks
-from fmsync.energy import gradient
+from fmsync.checks import checked
+from fmsync.energy import gradient_unchecked as gradient
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
 
 @estimator("spanning-tree")
+@checked()
 def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO") -> Estimate:
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
 

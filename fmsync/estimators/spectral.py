@@ -5,7 +5,10 @@ from scipy.linalg import eigh
 
 from fmsync import checks, so
 from fmsync.block_krylov import block_lanczos, orthonormal_rows
-from fmsync.energy import gradient, neighbour_sums, sparse_sums
+from fmsync.checks import checked
+from fmsync.energy import gradient_unchecked as gradient
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import sparse_sums_unchecked as sparse_sums
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
@@ -15,6 +18,7 @@ _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
 @estimator("spectral")
+@checked(tolerance=checks.not_negative)
 def spectral(
     problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO", tolerance: float = 1e-6
 ) -> Estimate:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.energy import neighbour_sums
+from fmsync.checks import checked
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import GROUPS, Estimate, nearest
 from fmsync.estimators.spectral import spectral_maps
 from fmsync.problem import SyncProblem
@@ -11,6 +12,7 @@ from fmsync.problem import SyncProblem
 _ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
+@checked()
 def starting_point(
     problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator, group: str = "SO"
 ) -> np.ndarray:

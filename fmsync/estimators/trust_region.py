@@ -10,7 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from fmsync import so
-from fmsync.energy import neighbour_sums, sparse_sums
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import sparse_sums_unchecked as sparse_sums
 from fmsync.estimators.base import Callback, Recorder, Trace
 from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
@@ -92,7 +93,7 @@ class Rotations:
         return 1 / np.maximum(curvature, 0.05 * np.abs(curvature).max() + 1e-300)[:, None, None]
 
     def retract(self, point: Point, step: np.ndarray) -> np.ndarray:
-        return point.absolute @ so.cayley(step.astype(float))
+        return point.absolute @ so.cayley_unchecked(step.astype(float))
 
 
 def minimise(

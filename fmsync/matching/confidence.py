@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fmsync.descriptors import heat_kernel_signature
-from fmsync.functional_maps import nearest_rows
+from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
 from fmsync.threads import single_threaded_blas
 

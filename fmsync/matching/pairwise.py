@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmsync.functional_maps import functional_map_from_descriptors, nearest_rows
+from fmsync.checks import checked
+from fmsync.functional_maps import functional_map_from_descriptors
+from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
@@ -49,6 +51,7 @@ class PairMatch:
         return self.distortion - _ORIENTED * self.orientation
 
 
+@checked()
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
     with single_threaded_blas():

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from fmsync.colours import colours_from_coordinates
-from fmsync.functional_maps import nearest_rows
+from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.confidence import Confidence
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags

@@ -7,6 +7,7 @@ import potpourri3d as pp3d
 import robust_laplacian
 from scipy.spatial import cKDTree
 
+from fmsync.checks import checked
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.extras import require
 from fmsync.shape import Basis, Shape, laplace_beltrami
@@ -48,10 +49,12 @@ class SampledShape:
     orientation: np.ndarray | None
     n_landmarks: int = 0
 
+    @checked()
     def sampled(self, size: int | None = None) -> np.ndarray:
         """Basis functions at the first ``size`` samples, (size, n)."""
         return self.basis.eigenfunctions[self.samples[:size]]
 
+    @checked()
     def light(self, n_basis: int) -> "SampledShape":
         """What matching a pair takes, and no more: the samples alone, and ``n_basis`` functions at them.
 

@@ -3,8 +3,11 @@
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.energy import geodesic_energy, geodesic_gradient, neighbour_sums
-from fmsync.energy import gradient as energy_gradient
+from fmsync.checks import checked
+from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
+from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
+from fmsync.energy import gradient_unchecked as energy_gradient
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.samplers import langevin_kernels
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.concentration import Concentration
@@ -46,6 +49,7 @@ class HMC(Sampler):
     _potential: np.ndarray
     _gradient: np.ndarray
 
+    @checked(start="K N n n", step=checks.positive, length=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -179,7 +183,7 @@ class HMC(Sampler):
 
     def _move(self, c: np.ndarray, omega: np.ndarray) -> np.ndarray:
         if not self._exp:
-            return c @ so.cayley(omega)
+            return c @ so.cayley_unchecked(omega)
         moved = np.array(c).reshape(-1, *c.shape[-2:])
         langevin_kernels.rotate(moved, np.ascontiguousarray(omega).reshape(moved.shape))
         return moved.reshape(c.shape)

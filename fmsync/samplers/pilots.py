@@ -8,7 +8,8 @@ import numpy as np
 from fmsync import so
 from fmsync.energy import energy, geodesic_energy
 from fmsync.langevin import matched_kappa
-from fmsync.problem import SyncProblem, relative_maps
+from fmsync.problem import SyncProblem
+from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.samplers.base import Sampler, Target
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC
@@ -46,7 +47,7 @@ def unvisited_mode(
         at_home = (energy if target.energy == "euclidean" else geodesic_energy)(p, kept).mean()
     start = so.random_uniform(p.n, (N_PILOTS, p.n_nodes), rng)
     noise = 2 * so.skew(rng.standard_normal((N_PILOTS // 4, p.n_nodes, p.n, p.n)))
-    start[::4] = kept[rng.integers(len(kept), size=N_PILOTS // 4)] @ so.exp(noise)
+    start[::4] = kept[rng.integers(len(kept), size=N_PILOTS // 4)] @ so.exp_unchecked(noise)
     if target.likelihood != "langevin":
         cosine = 1 - at_home / (2 * p.n * p.weights.sum())
         kappa = matched_kappa(p.n, min(max(cosine, 1e-3), 1 - 1e-3))

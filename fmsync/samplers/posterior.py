@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from fmsync import adapters, checks, so
+from fmsync.checks import checked
 from fmsync.diagnostics import Summary, summary
-from fmsync.problem import SyncProblem, relative_maps
+from fmsync.problem import SyncProblem
+from fmsync.problem import relative_maps_unchecked as relative_maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class Posterior:
             raise ValueError("sigma2: only likelihood='projected-gaussian' has a noise variance; see kappa")
         return 1 / self.kappa
 
+    @checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
         r"""Relative maps :math:`C_i^\top C_j` of every draw, (chains, draws, E, n, n).
 
@@ -51,6 +54,7 @@ class Posterior:
         """
         return relative_maps(self.absolute, self._edges(edges))
 
+    @checked(edges="K 2 < N")
     def relative_mean(self, edges: np.ndarray | None = None, *, projected: bool = True) -> np.ndarray:
         """Chordal mean over all draws of the relative maps, (E, n, n): independent of every gauge.
 
@@ -61,8 +65,9 @@ class Posterior:
         # one product per pair over all draws at once, and no (draws, E, n, n) array
         stacked = {k: self.absolute[:, :, k].reshape(-1, self.problem.n) for k in np.unique(edges)}  # (draws n, n)
         mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
-        return so.project(mean) if projected else mean
+        return so.project_unchecked(mean) if projected else mean
 
+    @checked(level=checks.probability, edges="K 2 < N")
     def credible_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
 
@@ -71,7 +76,6 @@ class Posterior:
         radius is the (k+1)-th smallest of these T distances, k the largest integer with k/T <= ``level``, so that the
         ball covers a truth exactly when :func:`fmsync.calibration.ball_level` is at most ``level``.
         """
-        checks.probability("level", level)
         edges = self._edges(edges)
         centres = self.relative_mean(edges, projected=False)
         count = self.n_chains * self.n_draws

@@ -3,8 +3,14 @@ r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test.
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.energy import geodesic_energy, geodesic_gradient, gram_blocks, neighbour_sums, unconstrained_energy
-from fmsync.problem import SyncProblem, anchored, fix_gauge
+from fmsync.checks import checked
+from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
+from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
+from fmsync.energy import gram_blocks
+from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
+from fmsync.problem import SyncProblem, anchored
+from fmsync.problem import fix_gauge_unchecked as fix_gauge
 from fmsync.samplers import langevin_kernels
 from fmsync.samplers.base import Sampler, Target, sampler
 
@@ -37,6 +43,7 @@ class RLFM(Sampler):
         ``"descent"``, or ``"printed"`` for the sign that the paper prints.
     """
 
+    @checked(start="K N n n", step=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -53,6 +60,8 @@ class RLFM(Sampler):
         target.only("rlfm", likelihood="langevin")
         problem, kappa = target.problem, target.fixed_kappa()
         self._euclidean, self._exp, self._constrained = target.energy == "euclidean", retraction == "exp", constrained
+        if not constrained:
+            checks.unused("with constrained=False", retraction=(retraction, "exp"))
         if not (self._euclidean or constrained):
             raise ValueError("energy: the geodesic distance needs rotations; set constrained=True")
         self._n_kept = problem.n_nodes
@@ -87,7 +96,7 @@ class RLFM(Sampler):
         return self._c[:, : self._n_kept]
 
     def draw(self) -> np.ndarray:
-        return self.state if self._constrained else so.project(self.state)
+        return self.state if self._constrained else so.project_unchecked(self.state)
 
     def energy(self) -> np.ndarray:
         if not self._constrained:
@@ -129,7 +138,7 @@ class RLFM(Sampler):
         if self._exp:
             langevin_kernels.rotate(flat, omega)
         else:
-            self._c = so.qf(flat + flat @ omega).reshape(self._c.shape)
+            self._c = so.qf_unchecked(flat + flat @ omega).reshape(self._c.shape)
 
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:
@@ -153,7 +162,7 @@ class RLFM(Sampler):
             mean = problem.constant
             deviation = 2 * np.sqrt(weights**2 @ (maps**2).sum((1, 2)) / n)
         else:
-            squared = so.dist(np.eye(n), so.random_uniform(n, 200, self._rng.spawn(1)[0])) ** 2
+            squared = so.dist_unchecked(np.eye(n), so.random_uniform(n, 200, self._rng.spawn(1)[0])) ** 2
             mean, deviation = squared.mean() * weights.sum(), squared.std() * np.sqrt((weights**2).sum())
         gap = np.minimum(mean - energy, self._beta * deviation**2)  # where a sound chain stays below the mean
         return np.where(0.9 * gap > 6 * deviation, mean - 0.1 * gap, mean + 10 * deviation)

@@ -7,6 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import checks, so
+from fmsync.checks import checked
 from fmsync.diagnostics import ConvergenceWarning, warn_unless_converged
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
@@ -22,6 +23,7 @@ Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains
 _CHECK_EVERY = 50  # warm-up steps between two looks at the energy
 
 
+@checked(warmup=">= 0", kappa=checks.positive, beta=checks.positive)
 def sample(
     problem: SyncProblem,
     method: str = "rlfm",
@@ -89,9 +91,6 @@ def sample(
     ((2, 50, 3, 4, 4), (3, 4, 4))
     """
     kind, _ = SAMPLERS.find(method, options)
-    counts = {"n_chains": n_chains, "n_draws": n_draws, "thin": thin}
-    n_chains, n_draws, thin = (checks.count(name, count) for name, count in counts.items())
-    warmup = checks.count("warmup", warmup, least=0)
     target = Target(problem, prior, kappa, beta, likelihood, energy)
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
@@ -103,10 +102,10 @@ def sample(
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
-            warnings.warn(said, ConvergenceWarning, stacklevel=2)
+            warnings.warn(said, ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
-    warn_unless_converged(post)
+    checks.unchecked(warn_unless_converged)(post)
     return post
 
 

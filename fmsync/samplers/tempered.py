@@ -3,6 +3,7 @@
 import numpy as np
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC, MALA
@@ -27,6 +28,7 @@ class Tempered(Sampler):
     (0, 1); by default 1e-3, nearly uniform maps.
     """
 
+    @checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
     def __init__(
         self,
         target: Target,

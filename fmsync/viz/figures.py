@@ -14,6 +14,9 @@ from matplotlib.rcsetup import cycler
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from fmsync import checks
+from fmsync.checks import checked
+
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 
@@ -98,6 +101,7 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
     )
 
 
+@checked()
 def picture(fig: Figure, alt: str) -> Picture:
     """Freeze a matplotlib figure as a ``Picture``, and close it; ``alt`` says in a sentence or two what it shows.
 
@@ -126,6 +130,7 @@ def freeze(fig: Figure, scale: float) -> bytes:
     return buffer.getvalue()
 
 
+@checked(matrices=checks.array)
 def heatmaps(
     matrices: Sequence[ArrayLike],
     titles: Sequence[str] | None = None,

@@ -15,6 +15,8 @@ from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from fmsync import checks
+from fmsync.checks import checked
 from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
@@ -43,6 +45,7 @@ class Loop(Picture):
         )
 
 
+@checked(seconds=checks.positive, rest=checks.not_negative)
 def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
     """Join matplotlib figures of one size into a ``Loop``, and close them.
 
@@ -89,6 +92,7 @@ def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: flo
     return Loop(stills[-1], alt, width, buffer.getvalue())
 
 
+@checked(points="T 3")
 def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Loop:
     """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 

@@ -21,6 +21,8 @@ from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from fmsync import checks
+from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.shape import Shape
 from fmsync.viz.figures import PALETTE, Shown, image_tag
@@ -95,6 +97,13 @@ class Scene(Shown):
         )
 
 
+def _drawable(name: str, mesh: Any) -> Any:
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise ValueError(f"{name}: expected a shape, got {type(mesh).__name__}")
+    return mesh
+
+
+@checked(meshes=_drawable, points="K < V")
 def scene(
     meshes: Sequence[Shape],
     scalars: Sequence[ArrayLike] | None = None,
@@ -138,6 +147,7 @@ def scene(
     """
     titles = [getattr(m, "name", "") for m in meshes] if titles is None else list(titles)
     _check(meshes, alt, scalars=scalars, titles=titles, points=points)
+    checks.one_of("cmap", cmap, mpl.colormaps)
     count = len(meshes)
     colours, colour_bar = _colours(meshes, scalars, cmap, clim, label)
     marks = [np.empty(0, int)] * count if points is None else [np.asarray(p, int) for p in points]

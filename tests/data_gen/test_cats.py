@@ -205,7 +205,7 @@ def test_more_cats_than_named_poses():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "reason"), [({"count": 0}, "count = 0"), ({"n_vertices": 10}, "n_vertices = 10")]
+    ("arguments", "reason"), [({"count": 0}, "count: an integer >= 1, got 0"), ({"n_vertices": 10}, "n_vertices = 10")]
 )
 def test_bad_requests_are_refused(arguments, reason):
     with pytest.raises(ValueError, match=reason):
