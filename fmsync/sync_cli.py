@@ -85,39 +85,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run_transfer(options: argparse.Namespace) -> int:
     """Carry the columns of a table to every other shape of a collection."""
-    import pandas as pd
-
-    from fmsync.matching import load_synced, transfer, transfer_landmarks
+    from fmsync.matching.output import transferred_tables
 
     with _working_folder(options.output) as work:
-        try:
-            given = pd.read_csv(options.values)
-        except (ValueError, OSError) as error:
-            raise ValueError(f"{options.values}: cannot be read as a table ({error})") from error
-        synced = load_synced(options.synced)
-        if options.on not in (None, *synced.names):
-            raise ValueError(f"--on: {options.on!r} is none of the shapes {', '.join(synced.names)}")
-        i = synced.names.index(options.on or synced.names[0])
-        tables = [pd.DataFrame() for _ in synced.names]
-        if list(given) == ["vertex"]:
-            for table, (image, region) in zip(tables, transfer_landmarks(synced, i, given["vertex"])):
-                table["vertex"], table["image"], table["region"] = given["vertex"], image, region
-            given = given.drop(columns="vertex")
-        for name, column in given.items():
-            values = column.to_numpy()
-            values = values.astype(str) if values.dtype == object else values
-            for table, carried in zip(tables, transfer(synced, i, values)):
-                if carried.labels is None:
-                    table[name], table[f"{name}_std"] = carried.mean[:, 0], carried.std[:, 0]
-                else:
-                    table[name] = carried.labels[carried.mean.argmax(axis=1)]
-                    table[f"{name}_probability"] = carried.mean.max(axis=1)
+        tables = transferred_tables(options.synced, options.values, options.on)
         (work / "output").mkdir()
-        for j, name in enumerate(synced.names):
-            if j != i:
-                tables[j].to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
+        for name, table in tables.items():
+            table.to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
         _publish(work, options.output)
-    print(f"{options.output}: a table for each of {len(synced.names) - 1} shapes")
+    print(f"{options.output}: a table for each of {len(tables)} shapes")
     return 0
 
 

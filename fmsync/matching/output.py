@@ -19,6 +19,7 @@ from fmsync.matching.quality import quality_flags
 from fmsync.matching.report import report
 from fmsync.matching.samples import sample_shape
 from fmsync.matching.synchronize import SyncedShapes
+from fmsync.matching.transferred import transfer, transfer_landmarks
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
@@ -119,6 +120,33 @@ def load_synced(folder: str | Path) -> SyncedShapes:
         )
     except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
         raise ValueError(f"{path}: damaged, or of another version ({error!r}); run fmsync sync again") from error
+
+
+def transferred_tables(folder: Path, path: Path, on: str | None) -> dict[str, pd.DataFrame]:
+    """What ``fmsync transfer`` writes: a table for every shape but the one named ``on``, or the first."""
+    try:
+        given = pd.read_csv(path)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path}: cannot be read as a table ({error})") from error
+    synced = load_synced(folder)
+    if on not in (None, *synced.names):
+        raise ValueError(f"--on: {on!r} is none of the shapes {', '.join(synced.names)}")
+    i = synced.names.index(on or synced.names[0])
+    tables = [pd.DataFrame() for _ in synced.names]
+    if list(given) == ["vertex"]:
+        for table, (image, region) in zip(tables, transfer_landmarks(synced, i, given["vertex"])):
+            table["vertex"], table["image"], table["region"] = given["vertex"], image, region
+        given = given.drop(columns="vertex")
+    for name, column in given.items():
+        values = column.to_numpy()
+        values = values.astype(str) if values.dtype == object else values
+        for table, carried in zip(tables, transfer(synced, i, values)):
+            if carried.labels is None:
+                table[name], table[f"{name}_std"] = carried.mean[:, 0], carried.std[:, 0]
+            else:
+                table[name] = carried.labels[carried.mean.argmax(axis=1)]
+                table[f"{name}_probability"] = carried.mean.max(axis=1)
+    return {name: table for j, (name, table) in enumerate(zip(synced.names, tables)) if j != i}
 
 
 def _vertex_table(

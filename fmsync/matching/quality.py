@@ -36,6 +36,11 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
         said.append(
             f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."
         )
+    turned = [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]
+    if turned:
+        said.append(
+            f"{len(turned)} given maps turn left into right; if these are many, so may the answer: {', '.join(turned)}."
+        )
     turning = [s.shape.name for s in synced.shapes if has_continuous_symmetry(s)]
     if turning:
         said.append(

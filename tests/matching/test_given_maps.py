@@ -14,6 +14,7 @@ import fmsync
 from fmsync.cli import main
 from fmsync.matching import output, synchronize
 from fmsync.matching.map_files import read_maps
+from fmsync.matching.quality import quality_flags
 from fmsync.shape import Basis, Shape
 from tests.matching.conftest import OPTIONS, QUICK, write_off
 
@@ -93,6 +94,11 @@ def test_wrong_maps_are_named_and_every_pair_gets_a_better_map(synced, shapes, s
     assert max(after) < 0.5 * np.mean(before)
     assert output.edge_table(synced)["map"][1] == "maps[0, 2] (cat0 to cat2)"
     assert set(synced.used) == {e for e, pair in enumerate(PAIRS) if pair not in ((0, 2), (1, 3))}
+
+
+def test_maps_that_turn_left_into_right_are_said(synced):
+    (said,) = [line for line in quality_flags(synced) if "left into right" in line]
+    assert "maps[0, 2] (cat0 to cat2)" in said
 
 
 def test_given_maps_are_data_that_stay_what_they_are(synced, shapes, spoilt, bases):
