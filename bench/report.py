@@ -52,7 +52,7 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     n, per_pair = int(chosen.n.iloc[0]), 2 if two_way else 1
     thresholds = {share: recovery_threshold(n_nodes, n, per_pair, density=share) for share in table.density.unique()}
     table["recoverable"] = table.sigma2 < table.density.map(thresholds)
-    table["bound_valid"] = is_small_error(n, table.floor**2)
+    table["bound_valid"] = [_holds(n, floor) for floor in table.floor]
     table["label"] = pd.Categorical(table.label, labels, ordered=True)
     return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
 
@@ -112,8 +112,13 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     table = table.merge(values(["problem"], "floor_rms", "expected_rms"), how="left", on="problem")
     table = table.rename(columns=_SHORT).reindex(columns=_BOARD)
     sizes = table.problem.map(lambda problem: json.loads(problem).get("n", np.nan))
-    table["bound_valid"] = is_small_error(sizes, table.floor**2)
+    table["bound_valid"] = [_holds(n, floor) for n, floor in zip(sizes, table.floor)]
     return table.sort_values(["problem", "error"], ignore_index=True)
+
+
+def _holds(n: float, floor: float) -> bool:
+    """Whether the bound is known and valid."""
+    return bool(n >= 1 and np.isfinite(floor) and is_small_error(int(n), floor**2))
 
 
 def bracketed(table: pd.DataFrame) -> pd.Series:

@@ -18,6 +18,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import scipy.io
@@ -44,11 +45,11 @@ def read_tri(path: Path) -> object:
 
 def read_cache(path: Path) -> None:
     """A damaged entry of the cache is built again, whatever it holds."""
-    os.environ["XDG_CACHE_HOME"] = str(path.parent)
-    entry = path.parent / "fmsync" / arithmetic() / "mutant.npz"
-    entry.parent.mkdir(parents=True, exist_ok=True)
-    entry.write_bytes(path.read_bytes())
-    found = cached("mutant", lambda: {"x": np.arange(40.0)})
+    with tempfile.TemporaryDirectory() as home, mock.patch.dict(os.environ, XDG_CACHE_HOME=home):
+        entry = Path(home) / "fmsync" / arithmetic() / "mutant.npz"
+        entry.parent.mkdir(parents=True)
+        entry.write_bytes(path.read_bytes())
+        found = cached("mutant", lambda: {"x": np.arange(40.0)})
     if (found["x"] != np.arange(40)).any():
         raise RuntimeError("damaged numbers came out of the cache")
 
