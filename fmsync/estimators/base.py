@@ -23,13 +23,13 @@ _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back
 
 
 def nearest(a: np.ndarray, group: str) -> np.ndarray:
-    """Nearest member of the group to every (..., n, n): for "O" the polar factor, whatever its determinant."""
+    """Nearest member of the group to every (..., n, n): for "O" the polar factor, also of (..., r, n)."""
     rest = so.transpose(a) @ a - np.eye(a.shape[-1])
     if np.abs(rest).max(initial=0) < _ROUNDING and (group == "O" or (np.linalg.det(a) > 0).all()):
         return a - a @ rest / 2
     if group == "SO":
         return so.project(a)
-    u, _, vt = np.linalg.svd(a)
+    u, _, vt = np.linalg.svd(a, full_matrices=False)
     return u @ vt
 
 
@@ -86,6 +86,7 @@ class Estimate:
     n_starts: int = 1
     n_agreeing: int = 1
     edge_weights: np.ndarray | None = None
+    lower_bound: float | None = None
 
     @property
     def n_iterations(self) -> int:
