@@ -91,6 +91,16 @@ def test_mean_of_starts_is_the_estimate_where_all_starts_agree(planted):
     )
 
 
+def test_confidence_balls_report_what_they_hold(planted):
+    problem = planted(n_nodes=6, n=4, sigma2=0.01)
+    found = answer("confidence-balls", problem)
+    np.testing.assert_array_equal(found.relative(problem.pairs()), answer("mle", problem).relative(problem.pairs()))
+    shares = [found.numbers()[f"coverage_{level}"] for level in (50, 80, 90, 95)]
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] < 1
+    assert shares[-1] > 0.5
+
+
 def test_convergence_ends_at_the_answer(planted):
     problem = planted(n_nodes=5, n=4)
     pairs = problem.pairs()
