@@ -129,8 +129,8 @@ class Estimate:
         distribution of d and ν degrees. Weights count observations.
 
         Radii are too short by terms of second order, which matter in many dimensions. On N = 11 complete shapes with
-        squared errors of 2 % of 2n, balls of 50 % hold 50 % of the truths at n = 5 and 44 % at n = 20; with 5 %, 31 %
-        at n = 20: there :meth:`fmsync.Posterior.credible_balls` are needed.
+        squared errors of 2 % of 2n, balls of 50 % hold 50 % of the truths at n = 5 and 43 % at n = 20 (standard error
+        1 %): there :meth:`fmsync.Posterior.credible_balls` are needed.
 
         ``edges`` (K, 2) are any pairs, the problem's own by default. ValueError for other methods, and for graphs
         without a cycle or repeated edge, whose residuals are zero whatever the noise.

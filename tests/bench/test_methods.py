@@ -101,6 +101,15 @@ def test_confidence_balls_report_what_they_hold(planted):
     assert shares[-1] > 0.5
 
 
+def test_truncated_least_squares_leave_the_outliers_out(planted):
+    problem = planted(n_nodes=12, n=8, sigma2=0.01, outliers=0.3)
+    pairs = problem.pairs()
+    error = {name: frobenius_errors(answer(name, problem).relative(pairs), problem.relative(pairs)).mean()
+             for name in ("gnc-tls", "mle", "robust")}  # fmt: skip
+    assert error["gnc-tls"] < 0.7 * error["mle"]
+    assert error["gnc-tls"] < 1.1 * error["robust"]
+
+
 def test_convergence_ends_at_the_answer(planted):
     problem = planted(n_nodes=5, n=4)
     pairs = problem.pairs()
