@@ -1,6 +1,6 @@
 """Point estimates: one file for each estimator, registered by name when imported here, called through :func:`solve`."""
 
-from fmsync.estimators import map, mle, mle_geodesic, mle_unconstrained, robust, spanning_tree, spectral
+from fmsync.estimators import map, mle, mle_geodesic, mle_unconstrained, robust, spanning_tree, spectral, staircase
 from fmsync.estimators.base import Callback, Estimate, Trace, estimator, methods
 from fmsync.estimators.restarts import mean_of_starts
 from fmsync.estimators.solve import solve
@@ -21,5 +21,6 @@ __all__ = [
     "solve",
     "spanning_tree",
     "spectral",
+    "staircase",
     "starting_point",
 ]

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import fdtri
 
 from fmsync import checks, so
+from fmsync.bounds import effective_resistance
 from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as energy
 from fmsync.problem import SyncProblem
@@ -21,18 +23,19 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
 
 
+_FIRST_ORDER = ("spectral", "mle", "staircase")  # equal to first order in the noise
 GROUPS = ("SO", "O")  # what estimates may be: rotations, or all orthogonal matrices
 _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back to machine precision
 
 
 def nearest(a: np.ndarray, group: str) -> np.ndarray:
-    """Nearest member of the group to every (..., n, n): for "O" the polar factor, whatever its determinant."""
+    """Nearest member of the group to every (..., n, n): for "O" the polar factor, also of (..., r, n)."""
     rest = so.transpose(a) @ a - np.eye(a.shape[-1])
     if np.abs(rest).max(initial=0) < _ROUNDING and (group == "O" or (np.linalg.det(a) > 0).all()):
         return a - a @ rest / 2
     if group == "SO":
         return so.project_unchecked(a)
-    u, _, vt = np.linalg.svd(a)
+    u, _, vt = np.linalg.svd(a, full_matrices=False)
     return u @ vt
 
 
@@ -89,6 +92,7 @@ class Estimate:
     n_starts: int = 1
     n_agreeing: int = 1
     edge_weights: np.ndarray | None = None
+    lower_bound: float | None = None
 
     @property
     def n_iterations(self) -> int:
@@ -117,6 +121,47 @@ class Estimate:
         if self.on_group:
             return relative_maps(self.absolute, edges)
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
+
+    def confidence_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        r"""Centres (K, n, n) and radii (K,) of balls that hold each true relative map with probability ``level``.
+
+        Without sampling, for ``"spectral"``, ``"mle"`` and ``"staircase"``, small errors, and noise Z, :math:`C_{ij} =
+        C_i^\top C_j Z`, without a preferred direction. To first order the d coordinates of an error are independent
+        Gaussians of variance :math:`s^2R_{ij}`, R the effective resistance, :math:`s^2 = E\lVert\mathrm{skew}
+        Z\rVert_F^2/(d c^2)`, :math:`c = E\operatorname{tr}Z/n` (Zhong & Ling 2024 on complete graphs; the squared error
+        of :func:`fmsync.expected_rms_error`). The skew parts of the residuals :math:`\hat C_{ij}^\top C_{ij}` keep
+        :math:`\nu = d(E-N+1)` degrees of freedom: :math:`\hat s^2 = \sum w\lVert\mathrm{skew}\rVert_F^2/(\nu\hat c^2)`,
+        with the mean cosine :math:`\hat c`, and the squared Frobenius error over :math:`d\hat s^2R_{ij}` has the F
+        distribution of d and ν degrees. Weights count observations.
+
+        Radii are too short by terms of second order, which matter in many dimensions. On N = 11 complete shapes with
+        squared errors of 2 % of 2n, balls of 50 % hold 50 % of the truths at n = 5 and 43 % at n = 20 (standard error
+        1 %): there :meth:`fmsync.Posterior.credible_balls` are needed.
+
+        ``edges`` (K, 2) are any pairs, the problem's own by default. ValueError for other methods, and for graphs
+        without a cycle or repeated edge, whose residuals are zero whatever the noise.
+
+        Examples
+        --------
+        >>> import numpy as np, fmsync
+        >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+        >>> bool((fmsync.solve(p).confidence_balls(0.9)[1] < 1e-6).all())
+        True
+        """
+        checks.probability("level", level)
+        if self.method not in _FIRST_ORDER:
+            raise ValueError(f"confidence_balls: not known for {self.method!r}; use one of {', '.join(_FIRST_ORDER)}")
+        p, spare = self.problem, self.problem.n_edges - self.problem.n_nodes + 1
+        if spare == 0:
+            raise ValueError("confidence_balls: a graph without cycles or repeated edges does not show its noise level")
+        residual = so.transpose(self.relative()) @ p.maps
+        variance = (p.weights @ (so.skew(residual) ** 2).sum((1, 2))) / (p.dim * spare)
+        cosine = p.weights @ np.einsum("eaa->e", residual) / (p.n * p.weights.sum())
+        edges = p.edges if edges is None else np.asarray(edges)
+        checks.indices("edges", edges.ravel(), p.n_nodes, "nodes")
+        resistance = effective_resistance(p.n_nodes, p.edges, edges, p.weights)
+        quantile = fdtri(p.dim, p.dim * spare, level)
+        return self.relative(edges), np.sqrt(p.dim * variance / cosine**2 * resistance * quantile)
 
 
 #: Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name.

@@ -43,7 +43,7 @@ def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, to
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
     frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)
     blocks = so.transpose(frame.reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]  # C_i up to one frame
-    return nearest(_common_orientation(blocks) if group == "SO" else blocks, group)
+    return nearest(common_orientation(blocks) if group == "SO" else blocks, group)
 
 
 def _leading_eigenvectors(
@@ -70,7 +70,7 @@ def _leading_eigenvectors(
     return rows.T  # past the recovery threshold there is no gap to converge by: the best there is
 
 
-def _common_orientation(blocks: np.ndarray) -> np.ndarray:
+def common_orientation(blocks: np.ndarray) -> np.ndarray:
     """Flip one shared axis when most blocks are reflections: rounding each alone would tear them apart."""
     if np.sign(np.linalg.det(blocks)).sum() < 0:
         blocks = blocks.copy()

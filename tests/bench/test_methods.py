@@ -91,6 +91,25 @@ def test_mean_of_starts_is_the_estimate_where_all_starts_agree(planted):
     )
 
 
+def test_confidence_balls_report_what_they_hold(planted):
+    problem = planted(n_nodes=6, n=4, sigma2=0.01)
+    found = answer("confidence-balls", problem)
+    np.testing.assert_array_equal(found.relative(problem.pairs()), answer("mle", problem).relative(problem.pairs()))
+    shares = [found.numbers()[f"coverage_{level}"] for level in (50, 80, 90, 95)]
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] < 1
+    assert shares[-1] > 0.5
+
+
+def test_truncated_least_squares_leave_the_outliers_out(planted):
+    problem = planted(n_nodes=12, n=8, sigma2=0.01, outliers=0.3)
+    pairs = problem.pairs()
+    error = {name: frobenius_errors(answer(name, problem).relative(pairs), problem.relative(pairs)).mean()
+             for name in ("gnc-tls", "mle", "robust")}  # fmt: skip
+    assert error["gnc-tls"] < 0.7 * error["mle"]
+    assert error["gnc-tls"] < 1.1 * error["robust"]
+
+
 def test_convergence_ends_at_the_answer(planted):
     problem = planted(n_nodes=5, n=4)
     pairs = problem.pairs()

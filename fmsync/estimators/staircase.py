@@ -1,0 +1,117 @@
+"""Maximum likelihood that climbs out of local minima: the Riemannian staircase, with a certificate at its end."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fmsync.block_krylov import largest_eigenpairs
+from fmsync.energy import gradient, neighbour_sums
+from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
+from fmsync.estimators.certificate import certify, least_eigenvalue, shifted_certificate
+from fmsync.estimators.spectral import common_orientation
+from fmsync.estimators.starts import starting_point
+from fmsync.estimators.trust_region import Point, Rotations, minimise
+from fmsync.problem import SyncProblem
+from fmsync.so import sym, transpose
+
+_MOST_LIFTS = 5  # of up to n rows each; one is enough for most problems
+_SOLVED = 0.01  # fraction of the gap that the accuracy of the relaxation may be to blame for
+_LOOSE = 1e-3  # fraction of the gradient that a relaxation may leave: its answer is rounded anyhow
+
+
+@estimator("staircase")
+def staircase(
+    problem: SyncProblem,
+    *,
+    rng: np.random.Generator,
+    callback: Callback,
+    init: str | np.ndarray | Estimate = "spectral",
+    group: str = "SO",
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+) -> Estimate:
+    r"""What ``"mle"`` answers or a better one: where :func:`fmsync.certify` refuses, relax, descend, and round.
+
+    Maps with r > n rows, :math:`Y_i \in \mathrm{St}(r, n)`, have the cost :math:`\mathrm{const} -
+    \operatorname{tr}(Y B Y^\top)`, and negative eigenvectors of the certificate matrix Q as new rows lower it. Trust
+    regions then find a minimum, whose n leading directions, rounded, are a start for ``"mle"``. The rank grows until
+    the certificate holds, of the answer or of the relaxation (Boumal 2015; Rosen et al. 2019; Dellaert et al. 2020).
+
+    Options are those of ``"mle"``, whose cost is never exceeded. No orthogonal maps cost less than ``lower_bound``,
+    which :func:`fmsync.certify` takes into account: its gap bound is then far smaller than that of the maps alone. The
+    ``trace`` has one entry for ``"mle"`` and one for each rank that improved on it.
+    """
+    recorder = Recorder(callback)
+
+    def descend(start: np.ndarray) -> Estimate:
+        model = Rotations(problem)
+        absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
+        return Estimate.from_absolute(problem, absolute, "staircase", group, converged=converged, trace=trace)
+
+    best, lower = descend(starting_point(problem, init, rng, group)), -np.inf
+    lift = best.absolute
+    for _ in range(_MOST_LIFTS):
+        recorder(best.absolute, best.cost, float(np.linalg.norm(gradient(problem, best.absolute))))
+        certificate = certify(problem, best)
+        lower = max(lower, best.cost - certificate.gap_bound)
+        start = None if certificate.certified else _escape(problem, lift)
+        if start is None:
+            break
+        model = _Lifts(problem, start.shape[1])
+        loose = max(tolerance, _LOOSE * model.evaluate(start).norm)
+        lift, _, trace = minimise(model, start, tolerance=loose, max_iterations=max_iterations)
+        inexact = problem.n_nodes * problem.n * max(0.0, -least_eigenvalue(problem, lift))
+        lower = max(lower, trace.cost[-1] - inexact)
+        best = min(best, descend(_rounded(lift, group)), key=lambda answer: answer.cost)
+        if inexact <= _SOLVED * (best.cost - lower):
+            break
+    recorder(best.absolute, best.cost, float(np.linalg.norm(gradient(problem, best.absolute))))
+    return replace(best, trace=recorder.trace(), lower_bound=min(float(lower), best.cost))
+
+
+class _Lifts(Rotations):
+    r"""The cost :math:`\mathrm{const} - \sum\operatorname{tr}(Y_i^\top S_i)` on N Stiefel manifolds St(r, n).
+
+    Tangent arrays are ambient: V with :math:`Y_i^\top V_i` skew-symmetric.
+    """
+
+    def __init__(self, problem: SyncProblem, rank: int) -> None:
+        super().__init__(problem)
+        self.dimension = problem.n_nodes * (rank * problem.n - problem.n * (problem.n + 1) // 2)
+
+    def evaluate(self, absolute: np.ndarray) -> Point:
+        sums = neighbour_sums(self._problem, absolute)
+        product = transpose(absolute) @ sums
+        curvature = sym(product)
+        cost = self._problem.constant - float(np.einsum("jaa->", product))
+        return Point(absolute, cost, 2 * (absolute @ curvature - sums), (absolute, curvature))
+
+    def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
+        absolute, curvature = point.extra
+        ambient = 2 * (direction @ curvature - neighbour_sums(self._problem, direction))
+        return ambient - absolute @ sym(transpose(absolute) @ ambient)
+
+    def retract(self, point: Point, step: np.ndarray) -> np.ndarray:
+        return nearest(point.absolute + step, "O")
+
+
+def _escape(problem: SyncProblem, lift: np.ndarray) -> np.ndarray | None:
+    """Cheaper lifts (N, r + k, n), with k <= n negative eigenvectors of Q in new rows; None where none are found."""
+    n_nodes, rank, n = lift.shape
+    point = _Lifts(problem, rank).evaluate(lift)
+    shift, apply = shifted_certificate(problem, point.extra[1], np.ones(n_nodes))
+    values, vectors = largest_eigenpairs(apply, n_nodes * n, n, tolerance=1e-4)
+    k = int((values > (1 + 1e-9) * shift).sum())
+    rows = transpose(vectors[:, :k].reshape(n_nodes, n, k))
+    for halvings in range(20 * (k > 0)):
+        moved = nearest(np.concatenate([lift, 0.5**halvings / np.abs(rows).max() * rows], axis=1), "O")
+        if _Lifts(problem, rank + k).evaluate(moved).cost < point.cost:
+            return moved
+    return None
+
+
+def _rounded(lift: np.ndarray, group: str) -> np.ndarray:
+    """Members of the group (N, n, n) nearest to the n leading directions of the lifts."""
+    leading, _, _ = np.linalg.svd(np.concatenate(list(lift), axis=1), full_matrices=False)
+    blocks = leading[:, : lift.shape[-1]].T @ lift
+    return nearest(common_orientation(blocks) if group == "SO" else blocks, group)
