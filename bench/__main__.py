@@ -15,7 +15,7 @@ from fmsync.extras import MissingExtra, require_all
 _RESULTS = Path("results")
 NEEDED = (  # by some command or suite: what is missing is reported before a run begins
     *("autograd", "distributed", "geomstats", "joblib", "matplotlib", "pandas", "potpourri3d", "pyFM"),
-    *("pyarrow", "pymanopt", "pyvista", "robust_laplacian", "sklearn"),
+    *("pyarrow", "pymanopt", "pyvista", "sklearn"),
 )
 
 

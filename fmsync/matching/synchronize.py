@@ -154,7 +154,7 @@ class SyncedShapes:
         return np.array(votes or [self.sample_images(i, j)])
 
 
-@checked(n_draws=">= 0", graph=">= 0", landmarks=">= 0")
+@checked(n_basis=">= 2", n_draws=">= 0", graph=">= 0", landmarks=">= 0")
 def synchronize_shapes(
     shapes: Sequence[Shape],
     *,
@@ -219,8 +219,6 @@ def synchronize_shapes(
     """
     rng, names = np.random.default_rng(rng), [s.name for s in shapes]
     shapes = [replace(s, name=f"{s.name} (shape {k})") if names.count(s.name) > 1 else s for k, s in enumerate(shapes)]
-    n_basis, n_refined = checks.count("n_basis", n_basis, least=2), checks.count("n_refined", n_refined)
-    n_samples, n_draws = checks.count("n_samples", n_samples), checks.count("n_draws", n_draws, least=0)
     if n_basis > min(n_refined, n_samples):
         raise ValueError(
             f"n_basis = {n_basis}: lower it to n_refined = {n_refined} and n_samples = {n_samples} at most"

@@ -174,12 +174,12 @@ def test_bad_collections_are_refused_by_name(cats):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"landmarks": [[1, 2], [3.0, 4.5]]}, r"landmarks\[1\] \(of cat1\): must be a row of integers"),
+        ({"landmarks": [[1, 2], [3.0, 4.5]]}, r"landmarks\[1\]\[1\]: an integer >= 0, got 4.5"),
         (
             {"landmarks": [[1, 2], [3, 1000]]},
             r"landmarks\[1\] \(of cat1\)\[1\] = 1000 is outside the vertices 0\.\.999",
         ),
-        ({"landmarks": [[-1, 2], [3, 4]]}, r"landmarks\[0\] \(of cat0\)\[0\] = -1 is outside"),
+        ({"landmarks": [[-1, 2], [3, 4]]}, r"landmarks\[0\]\[0\]: an integer >= 0, got -1"),
         ({"landmarks": [[1, 2, 3], [3, 4, 3]]}, r"landmarks\[1\] \(of cat1\)\[2\]: vertex 3 is repeated; remove"),
         ({"landmarks": [range(201)] * 2}, "landmarks: 201 of each shape, but n_samples = 200; raise n_samples"),
         ({"landmarks": [[1, 2]]}, "landmarks: 1 rows for 2 shapes; give one row"),
@@ -191,7 +191,7 @@ def test_bad_collections_are_refused_by_name(cats):
         ({"n_draws": -1}, "n_draws: an integer >= 0, got -1"),
         ({"graph": [(0, 1), (0, 2)]}, r"graph: edge 1 \(0, 2\) is out of range for 2 nodes; give pairs .* 0\.\.1"),
         ({"graph": [(0, 1), (1, 1)]}, r"graph: edge 1 \(1, 1\) is a self-loop; remove it"),
-        ({"graph": [(0, 1.5)]}, "graph: node numbers must be integers"),
+        ({"graph": [(0, 1.5)]}, r"graph\[0\]\[1\]: an integer >= 0, got 1.5"),
         ({"graph": "k0"}, "graph: 'complete', 'k4' or pairs, not 'k0'"),
     ],
 )
