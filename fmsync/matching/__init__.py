@@ -6,6 +6,13 @@ require_all(__name__, "shapes", "joblib", "pandas", "potpourri3d", "pyvista", "r
 
 from fmsync.matching.confidence import Confidence  # noqa: E402
 from fmsync.matching.conformal import ConformalCalibration, fit_conformal  # noqa: E402
-from fmsync.matching.synchronize import SyncedShapes, synchronize_shapes  # noqa: E402
+from fmsync.matching.synchronize import SyncedShapes, synchronize_matches, synchronize_shapes  # noqa: E402
 
-__all__ = ["Confidence", "ConformalCalibration", "SyncedShapes", "fit_conformal", "synchronize_shapes"]
+__all__ = [
+    "Confidence",
+    "ConformalCalibration",
+    "SyncedShapes",
+    "fit_conformal",
+    "synchronize_matches",
+    "synchronize_shapes",
+]

@@ -71,6 +71,12 @@ class SyncedShapes:
         """Names of the shapes."""
         return [s.shape.name for s in self.shapes]
 
+    @property
+    def observed(self) -> dict[tuple[int, int], np.ndarray]:
+        """Maps C_ij (m, m) of the pairs that were matched, both ways."""
+        ways = {(i, j): m.c_ij for (i, j), m in zip(self.edges.tolist(), self.matches)}
+        return ways | {(j, i): c.T for (i, j), c in ways.items()}
+
     def functional_map(self, i: int, j: int) -> np.ndarray:
         """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
         return self.refined[i].T @ self.refined[j]
@@ -116,9 +122,7 @@ class SyncedShapes:
 
     def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
-        observed = {}
-        for (a, b), m in zip(self.edges.tolist(), self.matches):
-            observed[a, b], observed[b, a] = m.c_ij, m.c_ij.T
+        observed = self.observed
 
         def images(a: int, b: int) -> np.ndarray:
             c = observed[a, b]
@@ -202,11 +206,26 @@ def synchronize_shapes(
         proposed = zip(edges, _flipped(estimate.relative(), edges, signs))
         better = each(f"pairs again {k + 1}/{ROUNDS}", improve, [(light[i], light[j], c) for (i, j), c in proposed])
         matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
+    return synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress)
+
+
+def synchronize_matches(
+    shapes: Sequence[SampledShape],
+    edges: np.ndarray,
+    matches: Sequence[PairMatch],
+    n_basis: int,
+    n_refined: int,
+    n_draws: int,
+    rng: int | np.random.Generator,
+    progress: bool = False,
+) -> SyncedShapes:
+    """The last stages of :func:`synchronize_shapes`, from maps of the pairs (E, 2): give it other maps to compare."""
+    rng = np.random.default_rng(rng)
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
     posterior = _sample(_trusted(problem, estimate), estimate, n_draws, rng, progress) if n_draws else None
     maps = np.array([m.c_ij[:n_basis, :n_basis] for m in matches])
-    refined = upsample(sampled, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
-    return SyncedShapes(sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
+    refined = upsample(shapes, edges, maps, tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress))
+    return SyncedShapes(tuple(shapes), edges, tuple(matches), signs, violating, problem, estimate, posterior, refined)
 
 
 def _check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:

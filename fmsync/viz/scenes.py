@@ -27,10 +27,10 @@ from fmsync.viz.figures import PALETTE, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1200  # width of the still
-_VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
-_AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
+VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
+_AXES = np.stack([np.cross([0, 0, 1], VIEW), np.zeros(3), VIEW], axis=1)  # columns: right, up, towards the eye
 _AXES[:, 0] /= np.linalg.norm(_AXES[:, 0])
-_AXES[:, 1] = np.cross(_VIEW, _AXES[:, 0])
+_AXES[:, 1] = np.cross(VIEW, _AXES[:, 0])
 _TAN = np.tan(np.pi / 12)  # half of 30 degrees, the angle of view that vtk.js always takes
 _GREY = to_rgb("#b9c4cf")
 _NO_GL = "Still picture: OpenGL is missing here. For the turnable scene: apt-get install libegl1 libgl1"
@@ -207,16 +207,27 @@ def _colours(
 
 def _panel(mesh: Shape, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
     """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
-    given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
-    given = given - (given.max(axis=0) + given.min(axis=0)) / 2
+    given = centred(mesh.vertices)
+    vertices, faces, nearest = display_mesh(given, mesh.faces, limit)
+    return vertices, faces, colours[nearest], given[marks]
+
+
+def centred(vertices: ArrayLike) -> np.ndarray:
+    """Vertices (V, 3) in single precision, the middle of their box at the origin."""
+    given = np.asarray(vertices, dtype=np.float32)
+    return given - (given.max(axis=0) + given.min(axis=0)) / 2
+
+
+def display_mesh(given: np.ndarray, faces: ArrayLike | None, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of a copy of at most ``limit`` vertices, and the nearest given ones."""
+    triangles = np.asarray(faces, dtype=np.int64)
     if len(given) <= limit:
-        return given, faces, colours, given[marks]
+        return given, triangles, np.arange(len(given))
     _choose_egl()
     pv = require("pyvista", "viz")
-    shown = pv.PolyData.from_regular_faces(given, faces).decimate(1 - limit / len(given))
-    vertices = np.asarray(shown.points, dtype=np.float32)
-    _, nearest = cKDTree(given).query(vertices)
-    return vertices, shown.regular_faces, colours[nearest], given[marks]
+    shown = pv.PolyData.from_regular_faces(given, triangles).decimate(1 - limit / len(given))
+    points = np.asarray(shown.points, dtype=np.float32)
+    return points, shown.regular_faces, cKDTree(given).query(points)[1]
 
 
 def _draw_vtk(
@@ -236,7 +247,7 @@ def _draw_vtk(
             plotter.add_mesh(ball, color=PALETTE[j % len(PALETTE)], smooth_shading=True)
     plotter.link_views()
     camera = plotter.camera
-    camera.position, camera.focal_point, camera.up = distance * _VIEW, (0, 0, 0), (0, 0, 1)
+    camera.position, camera.focal_point, camera.up = distance * VIEW, (0, 0, 0), (0, 0, 1)
     camera.reset_clipping_range()
     png = io.BytesIO()
     plotter.screenshot(png)
@@ -285,7 +296,7 @@ def _draw_still(
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         shade = 1.0 if flat else 0.3 + 0.7 * np.abs(normals @ light)[:, None]
-        order = np.argsort(corners.mean(axis=1) @ _VIEW)
+        order = np.argsort(corners.mean(axis=1) @ VIEW)
         paint = np.clip(colours[faces].mean(axis=1) * shade, 0, 1)[order]
         triangles = _project(corners[order], distance)  # (f, 3, 2)
         painted = PolyCollection(triangles, facecolors=paint, edgecolors=paint, linewidths=0.3)  # type: ignore[arg-type]
