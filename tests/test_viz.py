@@ -357,7 +357,7 @@ def test_books_share_the_script_of_explorers_and_notebooks_bring_their_own(no_gl
 def test_the_still_of_an_explorer_shows_where_the_images_are(no_gl):
     chosen = np.array([0])
     ball = sphere(n_rings=40)
-    front = int((ball.vertices @ scenes.VIEW).argmax())
+    front = int((ball.vertices @ scenes.AXES[:, 2]).argmax())
     state = viz.State("map", (np.array([[front]]), np.array([[front]])))
     image = pixels(viz.explorer([ball, ball], (chosen, chosen), [state], alt="Balls.").png)
     reddish = (image[..., 0] > image[..., 2] + 60).sum(axis=0)

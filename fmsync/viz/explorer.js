@@ -6,8 +6,8 @@
 (() => {
   const VIEW = [0.74, -0.61, 0.28], TAN = Math.tan(Math.PI / 12); // camera of all scenes of the book
   const THEMES = {
-    light: { ramp: ["b9c4cf", "f0b43c", "dd6a1b", "9c1f45"], region: "8fc0ea", mark: "#0b4f8a", halo: "#fff" },
-    dark: { ramp: ["66717d", "a8562a", "ee9a33", "ffe98a"], region: "2f73b3", mark: "#8fd0ff", halo: "#10151b" },
+    light: { ramp: ["b9c4cf", "f0b43c", "dd6a1b", "9c1f45"], region: "69aae6", mark: "#0b4f8a", halo: "#fff" },
+    dark: { ramp: ["7d8995", "b05a2a", "ee9a33", "ffe98a"], region: "2f7fd6", mark: "#8fd0ff", halo: "#10151b" },
   };
   for (const t of Object.values(THEMES)) {
     [t.region, ...t.ramp] = [t.region, ...t.ramp].map((c) => [0, 2, 4].map((k) => parseInt(c.slice(k, k + 2), 16)));
@@ -18,7 +18,7 @@
     .panel { position: relative; min-width: 0 }
     h4 { margin: 0; font-size: .95em; font-weight: 600; text-align: center }
     h4 small { font-weight: 400; opacity: .8 }
-    canvas { display: block; width: 100%; aspect-ratio: 1.2; touch-action: pan-y; cursor: crosshair; border-radius: 8px }
+    canvas { display: block; width: 100%; aspect-ratio: 1.08; touch-action: pan-y; cursor: crosshair; border-radius: 8px }
     canvas:focus-visible { outline: 2px solid currentColor; outline-offset: -2px }
     .controls { display: flex; flex-wrap: wrap; gap: .5rem 1.1rem; align-items: center; margin: .5rem 0; font-size: .9em }
     fieldset { display: flex; flex-wrap: wrap; border: 0; margin: 0; padding: 0; min-width: 0 }
@@ -35,9 +35,9 @@
     p { margin: .3rem 0; font-size: .95em; min-height: 1.5em }
     .key { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; font-size: .85em; min-height: 1.4em }
     .key span { display: inline-flex; align-items: center; gap: .4em } .key [hidden] { display: none }
-    .key i { display: inline-block; width: .75em; height: .75em; border-radius: 50%; box-sizing: border-box }
+    .key i { flex: none; width: .75em; height: .75em; border-radius: 50%; box-sizing: border-box }
     slot { display: none }
-    @media (max-width: 600px) { .stage { grid-template-columns: 1fr } p { min-height: 4.3em } fieldset label { padding: .4rem .5rem } }
+    @media (max-width: 600px) { .stage { grid-template-columns: 1fr } p { min-height: 4.3em } fieldset { font-size: .9em } fieldset label { padding: .4rem } }
     @media print { .live { display: none } slot { display: block } }`;
   const PAGE = `<style>${STYLE}</style><div class="live">
     <div class="stage"><div class="panel"><h4></h4><canvas tabindex="0" role="application"></canvas></div>
@@ -97,13 +97,20 @@
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = (a) => { const l = Math.hypot(...a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
 
-  function within(s, from, reach) { // length of the way along edges, where it is below reach
+  function apart(p, a, b) {
+    const x = p[3 * a] - p[3 * b], y = p[3 * a + 1] - p[3 * b + 1], z = p[3 * a + 2] - p[3 * b + 2];
+    return Math.sqrt(x * x + y * y + z * z);
+  }
+
+  function within(s, from, reach) { // geodesic distance where it is below reach: two edges at a time, nearly straight
     const far = new Float32Array(s.around.length).fill(Infinity), queue = [from];
     far[from] = 0;
     for (const a of queue) {
-      for (const b of s.around[a]) {
-        const d = far[a] + Math.hypot(...minus(at(s.points, a), at(s.points, b)));
-        if (d < reach && d < far[b] - 1e-6) { far[b] = d; queue.push(b); }
+      for (const c of s.around[a]) {
+        for (const b of s.around[c]) {
+          const d = far[a] + apart(s.points, a, b);
+          if (d < reach && d < far[b] - 1e-6) { far[b] = d; queue.push(b); }
+        }
       }
     }
     return far;
@@ -232,7 +239,7 @@
       return [right, cross(eye, right), eye];
     };
 
-    function select() { // the state nearest to what the controls say, its colours and words
+    function select() { // the state nearest to what the controls say, its light and words
       const { view, from, row } = chosen;
       const some = data.states.filter((s) => s.view === view && s.noise === chosen.noise);
       state = some.find((s) => s.temperature === chosen.temperature) ?? some[0] ?? data.states.find((s) => s.view === view);
@@ -270,9 +277,8 @@
       const width = data.unit * data.glow * (images.length === 1 ? 0.5 : 1);
       for (const v of images) {
         for (let w = 0; w < count; w++) {
-          const x = p[3 * v] - p[3 * w], y = p[3 * v + 1] - p[3 * w + 1], z = p[3 * v + 2] - p[3 * w + 2];
-          const squared = (x * x + y * y + z * z) / (width * width);
-          if (squared < 12) sum[w] += Math.exp(-squared / 2);
+          const d = apart(p, v, w) / width;
+          if (d < 3.5) sum[w] += Math.exp(-d * d / 2);
         }
       }
       values = data.shapes.map((s) => new Uint8Array(3 * s.around.length));
@@ -366,7 +372,7 @@
     }
     function nearestRow(k, v) {
       const { picks, points } = data.shapes[k];
-      const away = Array.from(picks, (w) => Math.hypot(...minus(at(points, v), at(points, w))));
+      const away = Array.from(picks, (w) => apart(points, v, w));
       return away.indexOf(Math.min(...away));
     }
     function pick(k, event) {

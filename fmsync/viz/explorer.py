@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from fmsync import checks
 from fmsync.shape import Shape
 from fmsync.viz.figures import Shown, image_tag
-from fmsync.viz.scenes import VIEW, centred, display_mesh, scene
+from fmsync.viz.scenes import AXES, centred, display_mesh, scene
 
 SCRIPT = Path(__file__).with_suffix(".js")
 _MAX_VERTICES = 5000  # of each drawn shape
@@ -121,7 +121,8 @@ def explorer(
     corners = given[0][np.asarray(shapes[0].faces)]  # (F, 3, 3)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     unit = float(np.sqrt(areas.sum()))
-    row = int((given[0][vertices[0]] @ VIEW).argmax())  # nearest to the eye
+    across, upward, towards = AXES.T @ given[0][vertices[0]].T
+    row = int((towards - 2 * np.hypot(across, upward)).argmax())  # in front, and in the middle of the picture
     arrays: list[tuple[np.ndarray, str]] = []
     for k, (points, faces, _) in enumerate(drawn):
         arrays += [(np.rint(points / scale), "<i2"), (faces, "<u2"), (near[k][vertices[k]], "<u2")]
@@ -148,7 +149,7 @@ def explorer(
     data = base64.b64encode(zlib.compress(raw, 9)).decode()
     if len(data) > _MOST_BYTES:
         raise ValueError(f"the explorer has {len(data)} bytes: give fewer vertices or states, {_MOST_BYTES} at most")
-    return Explorer(_still(shapes, vertices, states[start], alt, truth, row, unit * _GLOW), alt, data)
+    return Explorer(_still(shapes, vertices, states[start], alt, row, unit * _GLOW), alt, data)
 
 
 def _described(state: State) -> dict[str, object]:
@@ -161,9 +162,7 @@ def _described(state: State) -> dict[str, object]:
     }
 
 
-def _still(
-    shapes: Sequence[Shape], vertices: Both, state: State, alt: str, truth: Both | None, row: int, width: float
-) -> bytes:
+def _still(shapes: Sequence[Shape], vertices: Both, state: State, alt: str, row: int, width: float) -> bytes:
     """A state as a picture: the chosen vertex, and the light of its images."""
     source, target = shapes
     points = np.asarray(target.vertices)
@@ -171,9 +170,8 @@ def _still(
     width = width / 2 if state.images[0].shape[1] == 1 else width
     light = np.exp(-squared / (2 * width**2)).sum(axis=1)
     colours = [_RAMP(np.zeros(len(source.vertices)))[:, :3], _RAMP(light / light.max())[:, :3]]
-    marks = [[vertices[0][row]], [] if truth is None else [truth[0][row]]]
     titles = [f"{source.name}: vertex {vertices[0][row]}", f"{target.name}: {state.view}"]
-    return scene(shapes, colours, titles, points=marks, columns=2, alt=alt).png
+    return scene(shapes, colours, titles, points=[[vertices[0][row]], []], columns=2, alt=alt).png
 
 
 def _check(shapes: Sequence[Shape], vertices: Both, states: Sequence[State], alt: str, truth: Both | None) -> None:

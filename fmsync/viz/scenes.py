@@ -27,10 +27,10 @@ from fmsync.viz.figures import PALETTE, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1200  # width of the still
-VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
-_AXES = np.stack([np.cross([0, 0, 1], VIEW), np.zeros(3), VIEW], axis=1)  # columns: right, up, towards the eye
-_AXES[:, 0] /= np.linalg.norm(_AXES[:, 0])
-_AXES[:, 1] = np.cross(VIEW, _AXES[:, 0])
+_VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
+AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
+AXES[:, 0] /= np.linalg.norm(AXES[:, 0])
+AXES[:, 1] = np.cross(_VIEW, AXES[:, 0])
 _TAN = np.tan(np.pi / 12)  # half of 30 degrees, the angle of view that vtk.js always takes
 _GREY = to_rgb("#b9c4cf")
 _NO_GL = "Still picture: OpenGL is missing here. For the turnable scene: apt-get install libegl1 libgl1"
@@ -144,7 +144,7 @@ def scene(
     panels = [_panel(m, c, p, _MAX_VERTICES // count) for m, c, p in zip(meshes, colours, marks)]
     columns = min(columns, count)
     rows = -(-count // columns)
-    across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ _AXES).T
+    across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ AXES).T
     aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6))  # of one panel
     # every vertex inside its panel, and room for the title
     distance = 1.16 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
@@ -247,7 +247,7 @@ def _draw_vtk(
             plotter.add_mesh(ball, color=PALETTE[j % len(PALETTE)], smooth_shading=True)
     plotter.link_views()
     camera = plotter.camera
-    camera.position, camera.focal_point, camera.up = distance * VIEW, (0, 0, 0), (0, 0, 1)
+    camera.position, camera.focal_point, camera.up = distance * _VIEW, (0, 0, 0), (0, 0, 1)
     camera.reset_clipping_range()
     png = io.BytesIO()
     plotter.screenshot(png)
@@ -287,7 +287,7 @@ def _draw_still(
     fig, axes = plt.subplots(rows, columns, figsize=(size[0] / 100, size[1] / 100), squeeze=False, layout="none")
     fig.subplots_adjust(0, 0, 1, 1, 0, 0)
     edge = _TAN * size[0] * rows / (columns * size[1])  # half the width of a panel at unit distance
-    light = _AXES @ [-0.3, 0.4, 1.0] / np.linalg.norm([-0.3, 0.4, 1.0])
+    light = AXES @ [-0.3, 0.4, 1.0] / np.linalg.norm([-0.3, 0.4, 1.0])
     for ax in axes.flat:
         ax.set_axis_off()
         ax.set(xlim=(-edge, edge), ylim=(-_TAN, _TAN))
@@ -296,7 +296,7 @@ def _draw_still(
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         shade = 1.0 if flat else 0.3 + 0.7 * np.abs(normals @ light)[:, None]
-        order = np.argsort(corners.mean(axis=1) @ VIEW)
+        order = np.argsort(corners.mean(axis=1) @ _VIEW)
         paint = np.clip(colours[faces].mean(axis=1) * shade, 0, 1)[order]
         triangles = _project(corners[order], distance)  # (f, 3, 2)
         painted = PolyCollection(triangles, facecolors=paint, edgecolors=paint, linewidths=0.3)  # type: ignore[arg-type]
@@ -310,5 +310,5 @@ def _draw_still(
 
 
 def _project(positions: np.ndarray, distance: float) -> np.ndarray:
-    seen = positions @ _AXES
+    seen = positions @ AXES
     return seen[..., :2] / (distance - seen[..., 2:])
