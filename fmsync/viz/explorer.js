@@ -316,7 +316,7 @@
           for (let v = 0; v < p.length; v += 9) { // a third of the vertices
             const away = c * p[v] + q * p[v + 1], near = up * away + lift * p[v + 2];
             const wide = Math.abs(c * p[v + 1] - q * p[v]) / aspect, high = Math.abs(up * p[v + 2] - lift * away);
-            distance = Math.max(distance, near + (1.08 * Math.max(wide, high)) / TAN);
+            distance = Math.max(distance, near + (1.04 * Math.max(wide, high)) / TAN);
           }
         }
       }
