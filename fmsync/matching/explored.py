@@ -10,7 +10,9 @@ from fmsync.matching.synchronize import SyncedShapes
 from fmsync.threads import single_threaded_blas
 from fmsync.viz.explorer import Explorer, State, explorer
 
-_CHOICE, _DRAWS = 200, 100  # vertices to choose from on each shape, and draws that carry them
+# vertices to choose from on each shape, and draws that carry them: a dozen posteriors are less than a megabyte even if
+# no two images agree
+_CHOICE, _DRAWS = 160, 100
 _TARGETS = 5000  # vertices that images are sought among: as many as are drawn
 
 

@@ -227,7 +227,7 @@
     const canvases = all("canvas"), [noise, heat] = all("input[type=range]"), fieldset = $("fieldset");
     const views = [...new Set(data.states.map((s) => s.view))];
     const camera = { turn: Math.atan2(VIEW[1], VIEW[0]), tilt: Math.asin(VIEW[2] / Math.hypot(...VIEW)), aside: [0, 0] };
-    const chosen = { from: 0, row: data.start[1], ...data.states[data.start[0]] };
+    const chosen = { from: 0, row: data.start[1], ...data.states[data.start[0]] }; // and what the controls say
     let values = [], hover = null, distance = 1, fitted = "", seen = [], theme = THEMES.light, state;
 
     const options = (key, only) => [...new Set(data.states.filter(only).map((s) => s[key]))];
