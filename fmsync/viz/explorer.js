@@ -67,7 +67,8 @@
     });
     for (const state of data.states) {
       state.ways = data.vertices.map((own) => {
-        const way = { images: take(Uint16Array, own.length * state.images) };
+        const way = { images: take(Uint16Array, own.length * state.images) }; // steps from one to the next of a vertex
+        way.images.forEach((_, k, all) => { if (k % state.images) all[k] += all[k - 1]; });
         if (state.region) Object.assign(way, { centres: take(Uint16Array, own.length), radius: take(Float32Array, own.length) });
         return way;
       });

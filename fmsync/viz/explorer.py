@@ -130,7 +130,8 @@ def explorer(
             arrays.append((near[1 - k][truth[k]], "<u2"))
     for state in states:
         for k in (0, 1):
-            arrays.append((np.sort(near[1 - k][state.images[k]], axis=1), "<u2"))  # in order it packs better
+            images = np.sort(near[1 - k][state.images[k]], axis=1)
+            arrays.append((np.diff(images, axis=1, prepend=0), "<u2"))  # small steps pack better
             if state.radius is not None:
                 centres = state.images[k][:, 0] if state.centres is None else state.centres[k]
                 arrays += [(near[1 - k][centres], "<u2"), (state.radius[k], "<f4")]
