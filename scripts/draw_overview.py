@@ -1,10 +1,11 @@
 """Draw the picture of the introduction from a real run: maps that disagree, maps that agree, and how sure they are.
 
 Writes three panels for the page and one picture of all three for the README into book/images. Eleven synthetic cats,
-every pair observed once with the noise of the paper at σ² = 0.1; three cats are shown.
+every pair observed once with the noise of the paper at σ² = 0.1; three cats are shown. And two smaller cats to explore.
 """
 
 import io
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from PIL import Image
 
 import data_gen
 import fmsync
-from fmsync import viz
+from fmsync import diagnostics, so, viz
+from fmsync.matching.samples import farthest_points
 
 IMAGES = Path(__file__).resolve().parents[1] / "book" / "images"
 SHOWN = (0, 6, 9)  # of eleven poses; their colours are carried from the first
@@ -65,6 +67,39 @@ def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> St
     images = np.stack([there[fmsync.point_map(d, truth.bases[c], truth.bases[a])] for d in draws])  # (T, V, 3)
     spread = np.sqrt(((images - images.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
     return Story([shapes[k] for k in SHOWN], {name: of(loop) for name, of in maps.items()}, colours, spread)
+
+
+def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> viz.Explorer:
+    """Two of eleven cats, and where their vertices go at three levels of the noise."""
+    shapes = [shape.normalised() for shape in data_gen.load_collection("cats", n_vertices=n_vertices)]
+    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
+    pair, chosen = list(SHOWN[:2]), farthest_points(shapes[SHOWN[0]].vertices, min(n_vertices, 200))
+    states: dict[str, list[viz.State]] = {"observed": [], "synchronised": [], "posterior": []}
+    for sigma2 in (0.03, 0.1, 0.3):
+        problem = data_gen.perturb(truth, sigma2=sigma2, rng=1)
+        at = problem.edges.tolist().index(pair)
+        options = {"n_chains": 2, "n_draws": n_draws // 2, "thin": 3, "warmup": warmup}
+        with diagnostics.short_run():  # a hundred draws, no more
+            posterior = fmsync.sample(problem, "heat-bath", likelihood="projected-gaussian", **options)
+        maps = {
+            "observed": problem.maps[at : at + 1],
+            "synchronised": fmsync.solve(problem).relative(np.array([pair])),
+            "posterior": posterior.relative([pair]).reshape(-1, truth.n, truth.n),
+        }
+        for view, c in maps.items():
+            there, back = (
+                np.stack([fmsync.point_map(m, truth.bases[i], truth.bases[j], chosen) for m in stack], axis=1)
+                for stack, (i, j) in ((c, pair), (so.transpose(c), pair[::-1]))
+            )
+            states[view].append(viz.State(view, (there, back), noise=sigma2))
+    return viz.explorer(
+        [shapes[k] for k in pair],
+        (chosen, chosen),
+        [state for view in states.values() for state in view],
+        truth=(chosen, chosen),
+        start=7,
+        alt="Two cats: a chosen vertex of one, and on the other the light of its images under a hundred draws.",
+    )
 
 
 def draw_cat(ax: Axes, shape: fmsync.Shape, values: np.ndarray, centre: tuple, size: float, **options) -> None:
@@ -130,3 +165,5 @@ if __name__ == "__main__":
         panel(told, k, axis)
         axis.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
     save(fig, IMAGES / "overview.png")
+    os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the page brings the script
+    (IMAGES / "explorer.html").write_text(explorer().html() + "\n", encoding="utf-8")

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fmsync import viz
 from fmsync.viz.scenes import can_render
+from tests.test_viz import sphere
 
 HTML = Path(__file__).resolve().parents[1] / "_build" / "html"
 CHROME = os.environ.get("CHROME") or next(
@@ -383,3 +385,165 @@ def _settled(page, element) -> np.ndarray:
             break
         last = shot
     return shot
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    """A page with nothing but an explorer of two eggs, where vertices go to themselves, upside down, or astray."""
+    ball, other = sphere(n_rings=24), sphere(n_rings=24, name="other")
+    for egg in (ball, other):  # turning a ball would not be seen
+        egg.vertices = egg.vertices * [1, 0.6, 1]
+    chosen = np.arange(0, len(ball.vertices), 9)
+    rings = chosen // 24 * 24
+    below = np.where(chosen < 48 * 24, rings + 23 - chosen % 24, chosen)  # the same longitude, the other hemisphere
+    astray = np.random.default_rng(0).integers(0, len(ball.vertices), (len(chosen), 100))
+    near = np.repeat(chosen[:, None], 100, axis=1)
+    radius = [np.full(len(chosen), 0.7)] * 2
+    states = [
+        viz.State("observed", (below[:, None],) * 2, noise=0.1),
+        viz.State("observed", (chosen[:, None],) * 2),
+        viz.State("posterior", (astray,) * 2, radius, (chosen,) * 2, temperature="β = 1"),
+        viz.State("posterior", (near,) * 2, radius, (chosen,) * 2, temperature="κ inferred"),
+        viz.State("calibrated", (chosen[:, None],) * 2, radius),
+    ]
+    shown = viz.explorer([ball, other], (chosen, chosen), states, alt="Two balls.", truth=(chosen, chosen), start=1)
+    page = tmp_path_factory.mktemp("explorer") / "page.html"
+    page.write_text(
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        "<title>Explorer</title><style>:root { color-scheme: light dark }</style>"
+        f"<main><h1>Explorer</h1>{shown.html()}</main></html>",
+        encoding="utf-8",
+    )
+    return page
+
+
+def _ready(page) -> dict[str, str]:
+    """What the explorer says of itself, once it is there."""
+    page.locator(".fm-explorer[data-fm=ready]").wait_for(timeout=30_000)
+    return page.evaluate("({ ...document.querySelector('.fm-explorer').dataset })")
+
+
+def _drawn(page, k: int) -> np.ndarray:
+    """Pixels (height, width, 4) of one canvas, as they were last drawn."""
+    return np.asarray(
+        Image.open(io.BytesIO(base64.b64decode(page.evaluate(_CANVAS, k).split(",")[1]))).convert("RGBA"), dtype=int
+    )
+
+
+_CANVAS = "(k) => document.querySelector('.fm-explorer').shadowRoot.querySelectorAll('canvas')[k].toDataURL()"
+
+
+def _lit(page, k: int) -> np.ndarray:
+    """Rows and columns (p, 2) of pixels that shine in the warm colours of images."""
+    image = _drawn(page, k)
+    return np.argwhere((image[..., 0] > image[..., 2] + 30) & (image[..., 3] == 255))
+
+
+def _blue(page, k: int) -> int:
+    image = _drawn(page, k)
+    return int(((image[..., 2] > image[..., 0] + 60) & (image[..., 3] == 255)).sum())
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+def test_explorer_answers_clicks_keys_sliders_and_switch(opened, explored, size, theme):
+    page = opened(explored, size, theme)
+    first = _ready(page)
+    canvases, words = page.locator("canvas"), page.get_by_role("status")
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    boxes = [canvases.nth(k).bounding_box() for k in (0, 1)]
+    assert (boxes[0]["y"] == boxes[1]["y"]) == (size is WIDE)  # side by side, or one above the other
+
+    def place(x, y):
+        return {"x": x * boxes[0]["width"], "y": y * boxes[0]["height"]}
+
+    canvases.nth(0).click(position=place(0.65, 0.35))
+    clicked = _ready(page)
+    assert clicked["vertex"] != first["vertex"]
+    assert words.inner_text() == f"Vertex {clicked['vertex']} of ball, observed: one image on other."
+    assert len(_lit(page, 0)) == 0
+    lit = _lit(page, 1)
+    assert len(lit) > 20
+    share = lit.mean(axis=0) / _drawn(page, 1).shape[:2]
+    assert np.abs(share - [0.35, 0.65]).max() < 0.12  # the ball beside looks the same
+
+    page.get_by_label("noise").fill("1")  # upside down
+    assert _ready(page)["noise"] == "0.1"
+    assert _lit(page, 1)[:, 0].mean() > lit[:, 0].mean() + 20
+    page.get_by_label("noise").fill("0")
+
+    page.locator("label", has_text="posterior").click()
+    wide = _ready(page)
+    assert (wide["view"], wide["temperature"]) == ("posterior", "β = 1")
+    assert int(wide["places"]) > 80
+    assert "100 images at" in words.inner_text()
+    assert re.search(r"radius of the 90 % region \.2\d √area", words.inner_text())
+    spread = _lit(page, 1)
+    page.get_by_label("temperature").fill("1")
+    assert _ready(page)["places"] == "1"
+    assert _lit(page, 1).std(axis=0).max() < 0.6 * spread.std(axis=0).max()
+    assert _blue(page, 1) > 5 * _blue(page, 0)
+    assert page.get_by_label("temperature").get_attribute("aria-valuetext") == "κ inferred"
+
+    page.get_by_role("radio", name="posterior").focus()
+    page.keyboard.press("ArrowRight")
+    assert _ready(page)["view"] == "calibrated"
+    assert page.get_by_label("temperature").is_disabled()
+    canvases.nth(0).focus()
+    page.keyboard.press("ArrowRight")
+    moved = _ready(page)
+    assert moved["vertex"] != clicked["vertex"]
+    assert moved["vertex"] in words.inner_text()
+    assert _lit(page, 1)[:, 1].mean() > lit[:, 1].mean()
+    before = _drawn(page, 0)
+    page.keyboard.press("Shift+ArrowLeft")
+    assert _ready(page)["vertex"] == moved["vertex"]
+    assert np.abs(_drawn(page, 0) - before).mean() > 0.5
+
+    canvases.nth(1).click(position=place(0.5, 0.5))  # and back
+    assert _ready(page)["from"] == "1"
+    assert len(_lit(page, 0)) > 20
+    assert len(_lit(page, 1)) == 0
+
+
+def test_explorer_answers_a_finger_and_turns_when_dragged(opened, explored):
+    page = opened(explored, PHONE, "light")
+    first, canvas = _ready(page), page.locator("canvas").first
+    touch = page.context.new_cdp_session(page)
+    touch.send("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    box = canvas.bounding_box()
+    point = {"x": box["x"] + 0.6 * box["width"], "y": box["y"] + 0.3 * box["height"]}
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    page.wait_for_function(
+        "(old) => document.querySelector('.fm-explorer').dataset.vertex !== old", arg=first["vertex"], timeout=5000
+    )
+    tapped, before = _ready(page), _drawn(page, 0)
+    drag(page, canvas)
+    assert np.abs(_drawn(page, 0) - before).mean() > 0.5
+    assert _ready(page)["vertex"] == tapped["vertex"]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_explorer_is_usable_by_everyone(opened, explored, theme):
+    page = opened(explored, WIDE, theme)
+    _ready(page)
+    page.evaluate(AXE)
+    assert page.evaluate(_SERIOUS, ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]) == []
+    assert page.evaluate(_SERIOUS, "color-contrast") == []
+    page.emulate_media(media="print")
+    assert page.locator(".fm-explorer > img").is_visible()
+    assert not page.locator("canvas").first.is_visible()
+
+
+def test_explorer_draws_where_there_is_no_webgl(opened, explored):
+    opened.page.add_init_script(
+        "const old = HTMLCanvasElement.prototype.getContext;"
+        "HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
+        "  return kind.startsWith('webgl') ? null : old.call(this, kind, ...more); }"
+    )
+    page = opened(explored, PHONE, "light")
+    _ready(page)
+    page.locator("canvas").first.click()
+    assert len(_lit(page, 1)) > 20
+    assert len(np.unique(_drawn(page, 0).reshape(-1, 4), axis=0)) > 50

@@ -1,9 +1,12 @@
 """The scripts around the book: the archive is the same for the same pages, the status says what the cache knows."""
 
+import base64
 import importlib.util
+import json
 import os
 import sys
 import zipfile
+import zlib
 from pathlib import Path
 
 import nbformat
@@ -131,6 +134,18 @@ def test_pictures_stay_small():
     pictures = sorted((ROOT / "book" / "images").glob("*.png"))
     assert len(pictures) == 4
     assert all(picture.stat().st_size < 150_000 for picture in pictures)
+    explorer = (ROOT / "book" / "images" / "explorer.html").read_text(encoding="utf-8")
+    assert len(explorer) < 300_000
+    assert "DecompressionStream" not in explorer  # the script comes with the book, once
+
+
+@pytest.mark.slow
+def test_the_explorer_of_the_first_page_has_three_views_at_three_noises():
+    shown = overview.explorer(n_vertices=1000, n_draws=20, warmup=20)
+    head = json.loads(zlib.decompress(base64.b64decode(shown.data)).partition(b"\n")[0])
+    assert len(head["states"]) == len({(s["view"], s["noise"]) for s in head["states"]}) == 9
+    assert head["states"][head["start"][0]]["view"] == "posterior"
+    assert [s["images"] for s in head["states"]] == [1] * 6 + [20] * 3
 
 
 @pytest.mark.slow

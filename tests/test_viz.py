@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import zipfile
+import zlib
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -284,3 +285,107 @@ def test_type_too_small_for_a_phone_is_raised():
     viz.picture(fig, alt="Two sizes of type.")
     assert small.get_fontsize() == 10
     assert large.get_fontsize() == 15
+
+
+def two_balls(**changed):
+    """Arguments of an explorer: four vertices to choose from, one image and a region each, or twenty images."""
+    ball, other = sphere(), sphere(radius=1.2, name="other")
+    chosen = np.array([0, 100, 300, 700])
+    image = np.stack([chosen, chosen[::-1]], axis=1)
+    states = [
+        viz.State("map", (image[:, :1], image[:, :1])),
+        viz.State("draws", (image, image), ([0.5] * 4, [0.25] * 4), (chosen, chosen), 0.1, "β = 1"),
+        viz.State("draws", (image[:, ::-1], image), ([0.1] * 4, [0.2] * 4), (chosen, chosen), 0.1, "β = 2"),
+    ]
+    return {"shapes": [ball, other], "vertices": (chosen, chosen), "states": states, "alt": "Two balls."} | changed
+
+
+def unpacked(shown):
+    head, _, arrays = zlib.decompress(base64.b64decode(shown.data)).partition(b"\n")
+    return json.loads(head), arrays
+
+
+def test_explorer_carries_shapes_and_images_in_small_integers(no_gl):
+    given = two_balls()
+    shown = viz.explorer(**given, truth=given["vertices"], start=1)
+    head, arrays = unpacked(shown)
+    ball = given["shapes"][0]
+    assert [s["name"] for s in head["shapes"]] == ["ball", "other"]
+    assert head["vertices"] == [[0, 100, 300, 700]] * 2
+    assert [(s["view"], s["noise"], s["temperature"], s["images"], s["region"]) for s in head["states"]] == [
+        ("map", 0.0, "", 1, False),
+        ("draws", 0.1, "β = 1", 2, True),
+        ("draws", 0.1, "β = 2", 2, True),
+    ]
+    count = len(ball.vertices)
+    points = np.frombuffer(arrays, "<i2", 3 * count).reshape(-1, 3) * head["scale"]
+    np.testing.assert_allclose(points, ball.vertices, atol=1e-4)
+    faces = np.frombuffer(arrays, "<u2", 3 * len(ball.faces), 6 * count).reshape(-1, 3)
+    np.testing.assert_array_equal(faces, ball.faces)
+    last = arrays[-(8 + 16) :]  # centres and radii of the last state, from the second shape to the first
+    np.testing.assert_array_equal(np.frombuffer(last, "<u2", 4), given["vertices"][1])
+    np.testing.assert_allclose(np.frombuffer(last, "<f4", 4, 8), 0.2)
+
+
+def test_explorer_thins_large_shapes_and_carries_vertices_to_the_nearest_drawn_ones(no_gl):
+    ball = sphere(n_rings=80)  # 12,802 vertices
+    ball.vertices = ball.vertices + 10  # drawn about the origin
+    chosen = np.array([0, 5000, 12801])
+    head, arrays = unpacked(
+        viz.explorer([ball, ball], (chosen, chosen), [viz.State("map", (chosen[:, None],) * 2)], alt="Large balls.")
+    )
+    count, faces = head["shapes"][0]["points"], head["shapes"][0]["faces"]
+    assert count <= 5001
+    points = np.frombuffer(arrays, "<i2", 3 * count).reshape(-1, 3) * head["scale"]
+    picks = np.frombuffer(arrays, "<u2", 3, 6 * (count + faces))
+    np.testing.assert_allclose(points[picks], ball.vertices[chosen] - 10, atol=0.05)
+
+
+def test_books_share_the_script_of_explorers_and_notebooks_bring_their_own(no_gl, monkeypatch):
+    shown = viz.explorer(**two_balls(alt='Two "balls".'))
+    monkeypatch.delenv("FMSYNC_SHARED_VIEWER", raising=False)
+    alone = shown._repr_mimebundle_()["text/html"]
+    monkeypatch.setenv("FMSYNC_SHARED_VIEWER", "1")
+    shared = shown.html()
+    assert "DecompressionStream" in alone
+    assert "DecompressionStream" not in shared
+    assert shown.data in shared
+    assert 'alt="Two &quot;balls&quot;."' in shared
+    assert "http" not in alone  # it asks for nothing
+
+
+def test_the_still_of_an_explorer_shows_where_the_images_are(no_gl):
+    chosen = np.array([0])
+    ball = sphere(n_rings=40)
+    front = int((ball.vertices @ scenes.AXES[:, 2]).argmax())
+    state = viz.State("map", (np.array([[front]]), np.array([[front]])))
+    image = pixels(viz.explorer([ball, ball], (chosen, chosen), [state], alt="Balls.").png)
+    reddish = (image[..., 0] > image[..., 2] + 60).sum(axis=0)
+    middle = len(reddish) // 2
+    assert reddish[:middle].sum() < 20
+    assert reddish[middle:].sum() > 20
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"shapes": [sphere()]}, "give two shapes with faces"),
+        ({"states": []}, "states or alt is empty"),
+        ({"alt": " "}, "states or alt is empty"),
+        ({"vertices": ([0], [99999])}, r"vertices\[1\]\[0\] = 99999 is outside"),
+        ({"states": [viz.State("map", (np.zeros((3, 1), int),) * 2)]}, r"states\[0\].images\[0\] has 3 rows for 4"),
+        ({"truth": (np.arange(4), np.arange(5))}, r"truth\[1\] has 5 rows for 4"),
+    ],
+)
+def test_bad_explorers_are_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        viz.explorer(**two_balls(**changed))
+
+
+def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl):
+    chosen = np.arange(600)
+    images = np.random.default_rng(0).integers(0, 802, (600, 900))
+    with pytest.raises(ValueError, match="give fewer vertices or states"):
+        viz.explorer(
+            [sphere(), sphere()], (chosen, chosen), [viz.State("map", (images, images)) for _ in range(3)], alt="Much."
+        )

@@ -52,6 +52,8 @@ def _copy_assets(app):
     script = Path(__file__).with_name("viewer_script.html").read_text(encoding="utf-8")
     page = viewer.read_text(encoding="utf-8").replace("</body>", script + "</body>")
     (static / "viewer.html").write_text(page, encoding="utf-8")
+    copy_asset_file(str(ROOT / "fmsync" / "viz" / "explorer.js"), str(static))
+    app.add_js_file("explorer.js")
     shutil.copytree(ROOT / "book" / "notebooks", Path(app.outdir) / "notebooks", dirs_exist_ok=True)
 
 

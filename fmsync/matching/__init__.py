@@ -8,7 +8,7 @@ from fmsync.matching.add import add_shape  # noqa: E402
 from fmsync.matching.confidence import Confidence  # noqa: E402
 from fmsync.matching.conformal import ConformalCalibration, fit_conformal  # noqa: E402
 from fmsync.matching.output import load_synced  # noqa: E402
-from fmsync.matching.synchronize import SyncedShapes, synchronize_shapes  # noqa: E402
+from fmsync.matching.synchronize import SyncedShapes, synchronize_matches, synchronize_shapes  # noqa: E402
 from fmsync.matching.transferred import transfer, transfer_landmarks  # noqa: E402
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "add_shape",
     "fit_conformal",
     "load_synced",
+    "synchronize_matches",
     "synchronize_shapes",
     "transfer",
     "transfer_landmarks",

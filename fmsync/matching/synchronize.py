@@ -83,6 +83,15 @@ class SyncedShapes:
         """What messages call the edges: names of given maps, or of two shapes."""
         return list(self.map_names) or [f"{self.names[i]}–{self.names[j]}" for i, j in self.edges]
 
+    @property
+    def observed(self) -> dict[tuple[int, int], np.ndarray]:
+        """Maps C_ij (m, m) of the pairs whose maps are used, both ways."""
+        found = {}
+        for e in self.used:
+            i, j = self.edges[e].tolist()
+            found[i, j], found[j, i] = self.matches[e].c_ij, self.matches[e].c_ij.T
+        return found
+
     @checked(i="< N", j="< N")
     def functional_map(self, i: int, j: int) -> np.ndarray:
         """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
@@ -138,10 +147,7 @@ class SyncedShapes:
     @checked(i="< N", j="< N")
     def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
-        observed = {}
-        for e in self.used:
-            a, b = self.edges[e].tolist()
-            observed[a, b], observed[b, a] = self.matches[e].c_ij, self.matches[e].c_ij.T
+        observed = self.observed
 
         def images(a: int, b: int) -> np.ndarray:
             c = observed[a, b]
@@ -245,15 +251,36 @@ def synchronize_shapes(
             return flipped(estimate.relative(), edges, signs)
 
         matches = with_proposals(each, light, edges, matches, proposed)
+    map_names = tuple(g.name for g in given)
+    return synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
+
+
+@checked(n_draws=">= 0")
+def synchronize_matches(
+    shapes: Sequence[SampledShape],
+    edges: np.ndarray,
+    matches: Sequence[PairMatch],
+    n_basis: int,
+    n_refined: int,
+    n_draws: int,
+    rng: int | np.random.Generator,
+    progress: bool = False,
+    map_names: tuple[str, ...] = (),
+) -> SyncedShapes:
+    """The last stages of :func:`synchronize_shapes`, from maps of the pairs (E, 2): give it other maps to compare.
+
+    Maps with ``map_names`` are given ones: of each pair the best trusted one carries points, see there.
+    """
+    rng = np.random.default_rng(rng)
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
-    used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if given else np.arange(len(edges))
+    used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if map_names else np.arange(len(edges))
     part = trusted_part(problem, estimate, used)
     posterior = posterior_draws(part, estimate, n_draws, rng, progress) if n_draws else None
-    start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used])
+    start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
     steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
-    refined, names_of_maps = upsample(sampled, edges[used], start, steps), tuple(g.name for g in given)
+    refined = upsample(shapes, edges[used], start, steps)
     return SyncedShapes(
-        sampled, edges, tuple(matches), signs, violating, problem, estimate, posterior, refined, names_of_maps, used
+        tuple(shapes), edges, tuple(matches), signs, violating, problem, estimate, posterior, refined, map_names, used
     )
 
 

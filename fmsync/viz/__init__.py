@@ -8,16 +8,20 @@ from fmsync.extras import require_all
 require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 
 from fmsync.colours import colours_from_coordinates  # noqa: E402
+from fmsync.viz.explorer import Explorer, State, explorer  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
 from fmsync.viz.loops import Loop, loop, walk_on_sphere  # noqa: E402
 from fmsync.viz.scenes import Scene, scene  # noqa: E402
 
 __all__ = [
     "PALETTE",
+    "Explorer",
     "Loop",
     "Picture",
     "Scene",
+    "State",
     "colours_from_coordinates",
+    "explorer",
     "heatmaps",
     "loop",
     "picture",

@@ -30,9 +30,9 @@ from fmsync.viz.figures import PALETTE, Shown, image_tag
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1200  # width of the still
 _VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
-_AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
-_AXES[:, 0] /= np.linalg.norm(_AXES[:, 0])
-_AXES[:, 1] = np.cross(_VIEW, _AXES[:, 0])
+AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
+AXES[:, 0] /= np.linalg.norm(AXES[:, 0])
+AXES[:, 1] = np.cross(_VIEW, AXES[:, 0])
 _TAN = np.tan(np.pi / 12)  # half of 30 degrees, the angle of view that vtk.js always takes
 _GREY = to_rgb("#b9c4cf")
 _NO_GL = "Still picture: OpenGL is missing here. For the turnable scene: apt-get install libegl1 libgl1"
@@ -154,7 +154,7 @@ def scene(
     panels = [_panel(m, c, p, _MAX_VERTICES // count) for m, c, p in zip(meshes, colours, marks)]
     columns = min(columns, count)
     rows = -(-count // columns)
-    across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ _AXES).T
+    across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ AXES).T
     aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6))  # of one panel
     # every vertex inside its panel, and room for the title
     distance = 1.16 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
@@ -217,16 +217,27 @@ def _colours(
 
 def _panel(mesh: Shape, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
     """Centred upright display mesh: vertices (v, 3), faces (f, 3), colours (v, 3), marked positions (m, 3)."""
-    given, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int64)
-    given = given - (given.max(axis=0) + given.min(axis=0)) / 2
+    given = centred(mesh.vertices)
+    vertices, faces, nearest = display_mesh(given, mesh.faces, limit)
+    return vertices, faces, colours[nearest], given[marks]
+
+
+def centred(vertices: ArrayLike) -> np.ndarray:
+    """Vertices (V, 3) in single precision, the middle of their box at the origin."""
+    given = np.asarray(vertices, dtype=np.float32)
+    return given - (given.max(axis=0) + given.min(axis=0)) / 2
+
+
+def display_mesh(given: np.ndarray, faces: ArrayLike | None, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of a copy of at most ``limit`` vertices, and the nearest given ones."""
+    triangles = np.asarray(faces, dtype=np.int64)
     if len(given) <= limit:
-        return given, faces, colours, given[marks]
+        return given, triangles, np.arange(len(given))
     _choose_egl()
     pv = require("pyvista", "viz")
-    shown = pv.PolyData.from_regular_faces(given, faces).decimate(1 - limit / len(given))
-    vertices = np.asarray(shown.points, dtype=np.float32)
-    _, nearest = cKDTree(given).query(vertices)
-    return vertices, shown.regular_faces, colours[nearest], given[marks]
+    shown = pv.PolyData.from_regular_faces(given, triangles).decimate(1 - limit / len(given))
+    points = np.asarray(shown.points, dtype=np.float32)
+    return points, shown.regular_faces, cKDTree(given).query(points)[1]
 
 
 def _draw_vtk(
@@ -286,7 +297,7 @@ def _draw_still(
     fig, axes = plt.subplots(rows, columns, figsize=(size[0] / 100, size[1] / 100), squeeze=False, layout="none")
     fig.subplots_adjust(0, 0, 1, 1, 0, 0)
     edge = _TAN * size[0] * rows / (columns * size[1])  # half the width of a panel at unit distance
-    light = _AXES @ [-0.3, 0.4, 1.0] / np.linalg.norm([-0.3, 0.4, 1.0])
+    light = AXES @ [-0.3, 0.4, 1.0] / np.linalg.norm([-0.3, 0.4, 1.0])
     for ax in axes.flat:
         ax.set_axis_off()
         ax.set(xlim=(-edge, edge), ylim=(-_TAN, _TAN))
@@ -309,5 +320,5 @@ def _draw_still(
 
 
 def _project(positions: np.ndarray, distance: float) -> np.ndarray:
-    seen = positions @ _AXES
+    seen = positions @ AXES
     return seen[..., :2] / (distance - seen[..., 2:])

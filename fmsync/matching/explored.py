@@ -1,0 +1,73 @@
+"""What a reader explores: where two shapes send their vertices, under several noises; needs the extra ``viz`` too."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fmsync.functional_maps import nearest_rows
+from fmsync.matching.conformal import ConformalCalibration
+from fmsync.matching.synchronize import SyncedShapes
+from fmsync.threads import single_threaded_blas
+from fmsync.viz.explorer import Explorer, State, explorer
+
+# vertices to choose from on each shape, and draws that carry them: a dozen posteriors are less than a megabyte even if
+# no two images agree
+_CHOICE, _DRAWS = 160, 100
+_TARGETS = 5000  # vertices that images are sought among: as many as are drawn
+
+
+def explore(
+    worlds: Mapping[tuple[float, str], SyncedShapes],
+    pair: tuple[int, int],
+    calibration: ConformalCalibration,
+    *,
+    alt: str,
+    level: float = 0.9,
+    common_order: bool = False,
+) -> Explorer:
+    """Two synchronised shapes to explore: images of their vertices as observed, synchronised, drawn and calibrated.
+
+    Parameters
+    ----------
+    worlds
+        A synchronisation of the same shapes for each noise variance and temperature in words, such as
+        ``(0.1, "β = 1")``; those of one variance differ in their posterior alone.
+    pair, calibration, level
+        Two shapes; what turns uncertainty scores into regions; and the share that regions are to hold.
+    alt, common_order
+        A sentence or two that say what is shown; whether vertex x of one shape is known to belong to x of the other.
+    """
+    ways = (pair, pair[::-1])
+    states = []
+    for (noise, temperature), synced in worlds.items():
+        known = [synced.confidence(*way, level) for way in ways]
+        centres = [synced.shapes[j].samples[k.image[:_CHOICE]] for k, (_, j) in zip(known, ways)]
+        radii = [k.radius[:_CHOICE] for k in known]
+        drawn = [_images(synced, i, j, synced.draws(i, j, _DRAWS)) for i, j in ways]
+        states.append(State("posterior", drawn, radii, centres, noise, temperature))
+        if all(s.view == "posterior" or s.noise != noise for s in states):
+            together = [centre[:, None] for centre in centres]
+            widened = [calibration.radius(k, level)[:_CHOICE] for k in known]
+            if pair in synced.observed:
+                observed = [_images(synced, i, j, synced.observed[i, j][None]) for i, j in ways]
+                states.append(State("observed", observed, noise=noise))
+            states.append(State("synchronised", together, noise=noise))
+            states.append(State("calibrated", together, widened, centres, noise))
+    states.sort(key=lambda s: ("observed", "synchronised", "posterior", "calibrated").index(s.view))
+    synced = next(iter(worlds.values()))
+    choice = [synced.shapes[k].samples[:_CHOICE] for k in pair]
+    shapes = [synced.shapes[k].shape for k in pair]
+    first = max(n for n, s in enumerate(states) if s.view == "posterior" and s.noise == states[0].noise)
+    return explorer(shapes, choice, states, alt=alt, truth=choice if common_order else None, level=level, start=first)
+
+
+def _images(synced: SyncedShapes, i: int, j: int, maps: np.ndarray) -> np.ndarray:
+    """Vertices (S, T) of shape j where maps C_ij (T, n, n) send the vertices to choose from on shape i."""
+    n, count = maps.shape[-1], synced.shapes[j].shape.n_vertices
+    among = np.linspace(0, count - 1, min(count, _TARGETS)).astype(int)
+    with single_threaded_blas():
+        found = nearest_rows(
+            (synced.shapes[i].sampled(_CHOICE)[:, :n] @ maps).reshape(-1, n),
+            synced.shapes[j].basis.eigenfunctions[among, :n],
+        )
+    return among[found].reshape(len(maps), -1).T
