@@ -31,7 +31,7 @@ SLOW = 2.0  # seconds, of one call
 
 # Public classes that the library makes and users only read: their methods are tried, not their constructors.
 RECORDS = """Estimate Trace Posterior Summary ConvergenceWarning Confidence ConformalCalibration SyncedShapes
-    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Loop Picture Scene""".split()  # noqa: SIM905
+    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Loop Picture Scene Explorer Transferred""".split()  # noqa: SIM905
 ENGINES = ("RLFM", "HMC", "MALA", "HeatBath", "Tempered")  # constructors are tried; fmsync.sample drives the rest
 
 # Functions that are not tried, with the reason.
@@ -42,6 +42,14 @@ KERNELS = {
     "fmsync.samplers.base.Target.only": "samplers call it; it takes no data",
     "fmsync.samplers.base.Target.matched_kappa": "samplers call it; it takes no data",
     "fmsync.registry.Registry.register": "decorates a method when its module is imported; takes no data",
+    "fmsync.matching.add.add_shape": "needs a synchronised collection: tests/matching/test_add_shape.py",
+    "fmsync.matching.explored.explore": "needs synchronised collections: tests/matching/test_explored.py",
+    "fmsync.matching.output.load_synced": "reads what fmsync sync wrote: tests/matching/test_transfer.py",
+    "fmsync.matching.synchronize.synchronize_matches": "stages of synchronize_shapes, which checks for it",
+    "fmsync.matching.transferred.transfer": "needs a synchronised collection: tests/matching/test_transfer.py",
+    "fmsync.matching.transferred.transfer_landmarks": "needs a synchronised collection: the same file",
+    "fmsync.viz.explorer.State": "a record that explorer checks: tests/test_viz.py",
+    "fmsync.viz.explorer.explorer": "draws what explore computed: tests/test_viz.py",
 }
 
 # Function, argument and kind of what is accepted or not refused in these words, with the reason.
@@ -222,6 +230,7 @@ class Valid:
                 "weights": np.ones(2),
             },
             "fmsync.estimators.rectangular.RectangularEstimate.relative": {"edges": np.array([[0, 1]])},
+            "fmsync.estimators.rectangular.RectangularEstimate.identifiable": {"edges": np.array([[0, 1]])},
             "fmsync.estimators.rectangular.solve_rectangular": {"problem": rectangular, "universe": 5},
             "fmsync.estimators.map.maximum_a_posteriori": {"rng": np.random.default_rng(0)},
             "fmsync.estimators.solve.solve": {"restarts": 2},
@@ -249,7 +258,7 @@ class Valid:
             "fmsync.matching.samples.SampledShape.light": {"n_basis": 4},
             "fmsync.matching.synchronize.synchronize_shapes": {
                 "n_basis": 4, "n_refined": 6, "n_samples": 30, "n_draws": 0, "graph": "complete",
-                "landmarks": [[0, 1]] * 4, "checkpoint": folder / "pairs",
+                "landmarks": [[0, 1]] * 4, "checkpoint": folder / "pairs", "maps": None, "bases": None,
             },
             "fmsync.mesh_io.mesh_files": {"paths": [mesh]},
             "fmsync.mesh_io.read_shape": {"path": mesh},
