@@ -25,7 +25,7 @@ def largest_eigenpairs(
     while True:
         start = np.linalg.qr(np.random.default_rng(0).standard_normal((size, block)))[0].T  # (b, size)
         values, rows = block_lanczos(apply, start, k, lambda values: tolerance * values)
-        coincide = values[block - 1 :] > values[: len(values) - block + 1] * (1 - 1e-6)
+        coincide = values[block - 1 :] > values[: max(len(values) - block + 1, 0)] * (1 - 1e-6)
         if not coincide.any():
             return values, rows.T
         block *= 2

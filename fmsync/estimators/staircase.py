@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmsync.block_krylov import largest_eigenpairs
+from fmsync.block_krylov import block_lanczos, orthonormal_rows
 from fmsync.energy import gradient, neighbour_sums
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
-from fmsync.estimators.certificate import certify, least_eigenvalue, shifted_certificate
+from fmsync.estimators.certificate import Certificate, certify, least_eigenvalue, shifted_certificate
 from fmsync.estimators.spectral import common_orientation
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Point, Rotations, minimise
@@ -15,7 +15,7 @@ from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
 
 _MOST_LIFTS = 5  # of up to n rows each; one is enough for most problems
-_SOLVED = 0.01  # fraction of the gap that the accuracy of the relaxation may be to blame for
+_SOLVED = 0.05  # fraction of the gap that the accuracy of the relaxation may be to blame for
 _LOOSE = 1e-3  # fraction of the gradient that a relaxation may leave: its answer is rounded anyhow
 
 
@@ -34,12 +34,12 @@ def staircase(
 
     Maps with r > n rows, :math:`Y_i \in \mathrm{St}(r, n)`, have the cost :math:`\mathrm{const} -
     \operatorname{tr}(Y B Y^\top)`, and negative eigenvectors of the certificate matrix Q as new rows lower it. Trust
-    regions then find a minimum, whose n leading directions, rounded, are a start for ``"mle"``. The rank grows until
-    the certificate holds, of the answer or of the relaxation (Boumal 2015; Rosen et al. 2019; Dellaert et al. 2020).
+    regions then find a minimum, and the rank grows until the certificate holds there, nearly. Its n leading directions,
+    rounded, are a start for ``"mle"`` (Boumal 2015; Rosen et al. 2019; Dellaert et al. 2020).
 
     Options are those of ``"mle"``, whose cost is never exceeded. No orthogonal maps cost less than ``lower_bound``,
     which :func:`fmsync.certify` takes into account: its gap bound is then far smaller than that of the maps alone. The
-    ``trace`` has one entry for ``"mle"`` and one for each rank that improved on it.
+    ``trace`` has one entry for ``"mle"``, and one more if rounding improved on it.
     """
     recorder = Recorder(callback)
 
@@ -48,13 +48,15 @@ def staircase(
         absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
         return Estimate.from_absolute(problem, absolute, "staircase", group, converged=converged, trace=trace)
 
-    best, lower = descend(starting_point(problem, init, rng, group)), -np.inf
-    lift = best.absolute
-    for _ in range(_MOST_LIFTS):
-        recorder(best.absolute, best.cost, float(np.linalg.norm(gradient(problem, best.absolute))))
-        certificate = certify(problem, best)
-        lower = max(lower, best.cost - certificate.gap_bound)
-        start = None if certificate.certified else _escape(problem, lift)
+    def record(answer: Estimate) -> Certificate:
+        recorder(answer.absolute, answer.cost, float(np.linalg.norm(gradient(problem, answer.absolute))))
+        return certify(problem, answer)
+
+    best = descend(starting_point(problem, init, rng, group))
+    certificate = record(best)
+    lower, lift = best.cost - certificate.gap_bound, best.absolute
+    for _ in range(_MOST_LIFTS * (not certificate.certified)):
+        start = _escape(problem, lift)
         if start is None:
             break
         model = _Lifts(problem, start.shape[1])
@@ -62,10 +64,12 @@ def staircase(
         lift, _, trace = minimise(model, start, tolerance=loose, max_iterations=max_iterations)
         inexact = problem.n_nodes * problem.n * max(0.0, -least_eigenvalue(problem, lift))
         lower = max(lower, trace.cost[-1] - inexact)
-        best = min(best, descend(_rounded(lift, group)), key=lambda answer: answer.cost)
         if inexact <= _SOLVED * (best.cost - lower):
             break
-    recorder(best.absolute, best.cost, float(np.linalg.norm(gradient(problem, best.absolute))))
+    if lift is not best.absolute:
+        rounded = descend(_rounded(lift, group))
+        if rounded.cost < best.cost:
+            best, lower = rounded, max(lower, rounded.cost - record(rounded).gap_bound)
     return replace(best, trace=recorder.trace(), lower_bound=min(float(lower), best.cost))
 
 
@@ -100,9 +104,10 @@ def _escape(problem: SyncProblem, lift: np.ndarray) -> np.ndarray | None:
     n_nodes, rank, n = lift.shape
     point = _Lifts(problem, rank).evaluate(lift)
     shift, apply = shifted_certificate(problem, point.extra[1], np.ones(n_nodes))
-    values, vectors = largest_eigenpairs(apply, n_nodes * n, n, tolerance=1e-4)
+    first, _ = orthonormal_rows(np.random.default_rng(0).standard_normal((n, n_nodes * n)))
+    values, vectors = block_lanczos(apply, first, n, lambda found: 1e-4 * found, min(12, n_nodes), cycles=4)
     k = int((values > (1 + 1e-9) * shift).sum())
-    rows = transpose(vectors[:, :k].reshape(n_nodes, n, k))
+    rows = vectors[:k].reshape(k, n_nodes, n).swapaxes(0, 1)  # any negative direction will do
     for halvings in range(20 * (k > 0)):
         moved = nearest(np.concatenate([lift, 0.5**halvings / np.abs(rows).max() * rows], axis=1), "O")
         if _Lifts(problem, rank + k).evaluate(moved).cost < point.cost:

@@ -6,6 +6,7 @@ import pytest
 import data_gen
 import fmsync
 from fmsync import so
+from fmsync.block_krylov import largest_eigenpairs
 from fmsync.energy import energy, neighbour_sums
 from fmsync.estimators import staircase
 
@@ -44,11 +45,11 @@ def relaxed_optimum(problem, rank, rounds=1500):
 def test_a_ring_wound_once_is_unwound_and_certified(n_nodes, n):
     problem, wound = ring(n_nodes, n)
     assert fmsync.solve(problem, "mle", init=wound).cost > 1  # 4 N (1 - cos(2 pi / N))
-    found = fmsync.solve(problem, "staircase", init=wound)
+    found = fmsync.solve(problem, "staircase", init=wound, tolerance=1e-9)
     assert found.converged
     assert found.cost < 1e-12
     assert fmsync.certify(problem, found).certified
-    assert found.n_iterations >= 1
+    assert found.n_iterations == 1
 
 
 @pytest.mark.parametrize("seed", [8, 11])
@@ -74,7 +75,7 @@ def test_the_lower_bound_is_the_optimum_of_the_relaxation(n_nodes, n, density, s
     found = fmsync.solve(problem, "staircase", group="O")
     optimum = relaxed_optimum(problem, rank=n_nodes * n)
     assert found.lower_bound <= optimum + 1e-6
-    assert found.lower_bound >= optimum - 0.011 * (found.cost - optimum) - 1e-5 * found.cost
+    assert found.lower_bound >= optimum - 0.055 * (found.cost - optimum) - 1e-5 * found.cost
     assert found.cost <= fmsync.solve(problem, "mle", group="O").cost + 1e-9
 
 
@@ -106,6 +107,13 @@ def test_a_lower_bound_counts_for_its_own_problem_only():
     problem, other = hard(0, n=4), hard(1, n=4)
     found = fmsync.solve(problem, "staircase")
     assert fmsync.certify(other, found) == fmsync.certify(other, found.absolute)
+
+
+def test_more_eigenvalues_coincide_than_are_asked_for():
+    """As the zeros of a certificate do; the blocks of the search then outgrow what is asked for."""
+    diagonal = np.concatenate([np.full(60, 2.0), np.linspace(0.1, 1, 540)])
+    values, _ = largest_eigenpairs(lambda x: diagonal[:, None] * x, 600, 20)
+    np.testing.assert_allclose(values, 2)
 
 
 def test_a_sparse_problem_beyond_the_dense_eigensolvers():
