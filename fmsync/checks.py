@@ -161,7 +161,7 @@ def _sequence_test(kind: Any, rule: Rule | None) -> Test:
             return value  # goes through its items once
         if fixed is not None and len(value) != fixed:
             raise ValueError(f"{name}: expected {fixed} values, got {len(value)}")
-        items = [test_one(f"{name}[{k}]", item, sizes) for k, item in enumerate(value)]
+        items = [test_one(f"{name}[{k}]", item, dict(sizes)) for k, item in enumerate(value)]
         return tuple(items) if isinstance(value, tuple) else items
 
     return test

@@ -122,6 +122,7 @@ class Estimate:
             return relative_maps(self.absolute, edges)
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
 
+    @checked(edges="K 2 < N", level=checks.probability)
     def confidence_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         r"""Centres (K, n, n) and radii (K,) of balls that hold each true relative map with probability ``level``.
 
@@ -148,7 +149,6 @@ class Estimate:
         >>> bool((fmsync.solve(p).confidence_balls(0.9)[1] < 1e-6).all())
         True
         """
-        checks.probability("level", level)
         if self.method not in _FIRST_ORDER:
             raise ValueError(f"confidence_balls: not known for {self.method!r}; use one of {', '.join(_FIRST_ORDER)}")
         p, spare = self.problem, self.problem.n_edges - self.problem.n_nodes + 1

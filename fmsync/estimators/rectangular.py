@@ -122,6 +122,7 @@ class RectangularEstimate:
                 warnings.warn(message, UserWarning, stacklevel=2)
         return self._relative(self.absolute, self.problem.edges if edges is None else edges)
 
+    @checked(edges="K 2 < N")
     def identifiable(self, edges: ArrayLike) -> np.ndarray:
         r"""Whether the observed maps, as fitted, determine the relative maps of pairs ``edges`` (K, 2): (K,) booleans.
 

@@ -255,7 +255,7 @@ def synchronize_shapes(
     return synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
 
 
-@checked(n_draws=">= 0")
+@checked(n_draws=">= 0", edges="E 2 < N")
 def synchronize_matches(
     shapes: Sequence[SampledShape],
     edges: np.ndarray,

@@ -88,7 +88,7 @@ def test_what_has_no_such_balls_is_refused_in_words():
         fmsync.solve(problem, "robust").confidence_balls(0.9)
     with pytest.raises(ValueError, match="level: must lie strictly between 0 and 1, got 1"):
         fmsync.solve(problem).confidence_balls(1)
-    with pytest.raises(ValueError, match=r"edges\[1\] = 5 is outside the nodes 0..4"):
+    with pytest.raises(ValueError, match=r"edges\[0\] = 5 is outside the nodes 0..4"):
         fmsync.solve(problem).confidence_balls(0.9, [(0, 5)])
     path = data_gen.perturb(data_gen.planted(5, 4, nx.path_graph(5), rng=0), 0.1, rng=1)
     with pytest.raises(ValueError, match="without cycles or repeated edges does not show its noise level"):
