@@ -75,7 +75,7 @@ def worlds_table(told: dict) -> list[str]:
     for chapter, row in told["chapters"].items():
         name = f"{{doc}}`/{folders[chapter]}/{chapter}`"
         cells = ["✗" if failed else "✓" for failed in row["failures"]]
-        lines.append(f"| {name} | {' | '.join(cells)} | {row['margin'] or 0:.1f} |")
+        lines.append(f"| {name} | {' | '.join(cells)} | {min(row['margin'] or 0, 99):.1f} |")
         said = [f"in world {k} {_code('; '.join(f))} failed" for k, f in enumerate(row["failures"], 1) if f]
         said.append(f"closest {_code(row['closest'] or 'none')}")
         notes.append(f"- {name}: {'; '.join(said)}")
