@@ -62,6 +62,8 @@ def test_every_view_agrees_with_the_synchronised_shapes(synced, asked):
 
 def test_a_pair_that_was_not_matched_has_no_observed_map(synced, asked):
     far = [k for k, edge in enumerate(synced.edges.tolist()) if edge != [0, 1]]
-    without = replace(synced, edges=synced.edges[far], matches=tuple(synced.matches[k] for k in far))
+    without = replace(
+        synced, edges=synced.edges[far], matches=tuple(synced.matches[k] for k in far), used=np.arange(len(far))
+    )
     states = asked({(0.0, "κ inferred"): without}, (0, 1))[2]
     assert [s.view for s in states] == ["synchronised", "posterior", "calibrated"]
