@@ -55,7 +55,10 @@ def test_gradient_of_the_potential_by_differences(energy):
 
 
 @pytest.mark.parametrize(("kappa", "exact"), ONE_EDGE_OF_SO20)
-@pytest.mark.parametrize(("method", "options"), [("hmc", {}), ("hmc", {"integrator": "exp"}), ("mala", {})])
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("hmc", {}), pytest.param("hmc", {"integrator": "exp"}, marks=pytest.mark.slow), ("mala", {})],
+)
 def test_one_edge_of_so20(method, options, kappa, exact):
     p = one_edge(20)
     thin = 10 if method == "mala" else 1

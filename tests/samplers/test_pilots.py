@@ -23,7 +23,7 @@ def said(problem, method="heat-bath", **options):
     return [str(w.message) for w in caught if UNSEEN in str(w.message)]
 
 
-@pytest.mark.parametrize("method", ["heat-bath", "rlfm", "hmc", "mala"])
+@pytest.mark.parametrize("method", ["heat-bath", "rlfm", pytest.param("hmc", marks=pytest.mark.slow), "mala"])
 def test_the_second_mode_of_a_ring_is_named(method):
     """Four chains from the spectral estimate sit in one of two equal modes, where a pilot ends one time in two."""
     messages = [said(twisted_ring(2, n_nodes=9), method, kappa=12.0, rng=seed) for seed in range(8)]

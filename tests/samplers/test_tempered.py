@@ -137,7 +137,7 @@ def test_bad_options_are_named(options, message):
         {"kappa": "auto"},
         {"kappa": "auto", "base": "hmc"},
         {"likelihood": "projected-gaussian"},
-        {"energy": "geodesic", "kappa": 8.0, "base": "hmc"},
+        pytest.param({"energy": "geodesic", "kappa": 8.0, "base": "hmc"}, marks=pytest.mark.slow),
     ],
 )
 def test_every_likelihood_agrees_with_its_base_where_there_is_one_mode(options):
@@ -159,7 +159,7 @@ def test_every_likelihood_agrees_with_its_base_where_there_is_one_mode(options):
     "options",
     [
         {"kappa": "auto"},
-        {"likelihood": "projected-gaussian"},
+        pytest.param({"likelihood": "projected-gaussian"}, marks=pytest.mark.slow),
         pytest.param({"kappa": 5.0, "energy": "geodesic", "base": "hmc"}, marks=pytest.mark.slow),
     ],
 )
