@@ -443,7 +443,9 @@
       slider.oninput = () => { chosen[key] = list[slider.value]; select(); };
     });
     const dress = () => { // dark is where the text is light
-      const [r, g, b] = getComputedStyle(figure).color.match(/[\d.]+/g).map(Number);
+      const colour = getComputedStyle(figure).color.match(/[\d.]+/g);
+      if (!colour) return;  // a page that is being left has no style
+      const [r, g, b] = colour.map(Number);
       theme = r + g + b > 384 ? THEMES.dark : THEMES.light;
       const css = (c) => `rgb(${c})`, [chosenKey, glowKey] = all(".chosen, .glow");
       chosenKey.style.border = `3px solid ${theme.mark}`;
