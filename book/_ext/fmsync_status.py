@@ -75,10 +75,11 @@ def worlds_table(told: dict) -> list[str]:
     for chapter, row in told["chapters"].items():
         name = f"{{doc}}`/{folders[chapter]}/{chapter}`"
         cells = ["✗" if failed else "✓" for failed in row["failures"]]
-        lines.append(f"| {name} | {' | '.join(cells)} | {min(row['margin'] or 0, 99):.1f} |")
+        margin = f"{min(row['margin'], 99):.1f}" if row["margin"] else "–"
+        lines.append(f"| {name} | {' | '.join(cells)} | {margin} |")
         said = [f"in world {k} {_code('; '.join(f))} failed" for k, f in enumerate(row["failures"], 1) if f]
-        said.append(f"closest {_code(row['closest'] or 'none')}")
-        notes.append(f"- {name}: {'; '.join(said)}")
+        said += [f"closest {_code(row['closest'])}"] if row["closest"] else []
+        notes += [f"- {name}: {'; '.join(said)}"] if said else []
     worlds = ", ".join(f"{k} {world}" for k, world in enumerate(told["worlds"], 1))
     made = f"Worlds: {worlds}. Made by `{told['command']}` on {told['machine']}, with {told['shapes']}."
     return [*lines, "", made, "", *notes, ""]
