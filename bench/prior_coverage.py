@@ -31,7 +31,7 @@ from fmsync import calibration, diagnostics
 from fmsync.energy import energy
 from fmsync.problem import relative_maps
 
-SETTINGS = {  # noise, n, N, least and largest level, sweeps between draws, and every how manieth problem is drawn
+SETTINGS = {  # noise, n, N, least and largest level, sweeps between draws, step from one problem number to the next
     "Langevin, n = 3": ("langevin", 3, 5, (4.0, 40.0), 2, 1),
     "Langevin, n = 8": ("langevin", 8, 6, (4.0, 40.0), 2, 2),
     "projected, n = 3": ("projected-gaussian", 3, 5, (0.005, 0.4), 4, 3),

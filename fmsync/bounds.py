@@ -40,8 +40,7 @@ def effective_resistance(
     """
     edges = np.asarray(edges)
     checked = SyncProblem(n_nodes, edges, np.broadcast_to(np.eye(2), (len(edges), 2, 2)), weights)
-    pairs = checked.edges if pairs is None else np.asarray(pairs)
-    checks.indices("pairs", pairs.ravel(), n_nodes, "nodes")
+    pairs = checked.edges if pairs is None else pairs
     grounded = grounded_laplacian(checked)
     resistance = np.empty(len(pairs))
     for first in range(0, len(pairs), 1024):  # a block of right-hand sides at a time
@@ -107,7 +106,7 @@ def langevin_error_bound(
     >>> langevin_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, kappa=100.0).round(4)
     array([0.0201, 0.0201, 0.0201])
     """
-    information = checks.positive("kappa", kappa) * mean_cosine(n, kappa)
+    information = kappa * mean_cosine(n, kappa)
     return n * (n - 1) / 2 / information * effective_resistance(n_nodes, edges, pairs)
 
 
@@ -153,14 +152,28 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
     return float(np.einsum("kaa->k", noise).mean()), float((so.skew(noise) ** 2).sum((1, 2)).mean())
 
 
+@checked(n_nodes=">= 2", n_observations=checks.positive)
+def recovery_cosine(n_nodes: int, n_observations: float) -> float:
+    r"""Mean cosine E tr Z / n of the noise below which E observations between N nodes are expected to say little.
+
+    :math:`1/\sqrt{2E/(N-1) + 1}`, see :func:`recovery_threshold`.
+
+    Examples
+    --------
+    >>> recovery_cosine(3, 3)
+    0.5
+    """
+    return float(1 / np.sqrt(2 * n_observations / (n_nodes - 1) + 1))
+
+
 @checked(n_nodes=">= 2", n=">= 2", density=checks.share)
 def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, density: float = 1.0) -> float:
     r"""Noise variance σ² beyond which synchronisation of a random graph is expected to recover little.
 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{k\rho N + 1}`, k observations for each of a
     fraction ρ of the pairs: there the leading eigenvectors of the connection matrix drown in its bulk (a heuristic from
-    random matrices). In the limit of many nodes the overlap of the posterior mean with the truth leaves zero there,
-    too: state evolution of Perry et al. (2018), for Gaussian observations of equal signal and noise.
+    random matrices). In the limit of many nodes message passing, conjectured to be the best that can be computed,
+    starts to recover there, too (Perry et al. 2018, for Gaussian observations of equal signal and noise).
 
     Infinity when even σ² = 100 stays above it.
 
@@ -170,7 +183,7 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, den
     >>> 0.35 < fmsync.bounds.recovery_threshold(11, 20) < 0.5
     True
     """
-    target = 1 / np.sqrt(observations_per_pair * density * n_nodes + 1)
+    target = recovery_cosine(n_nodes, observations_per_pair * density * n_nodes * (n_nodes - 1) / 2)
     low, high = 0.0, 100.0
 
     def cosine(sigma2: float) -> float:

@@ -85,7 +85,7 @@ def _of_problem(file: Path) -> dict[str, object]:
     agreement = float(np.einsum("eab,eab->e", relative, problem.maps).mean()) / n
     cosine = 1 - (1 - agreement) * n_edges / cycles  # the fit takes its part of the noise
     kappa = langevin.matched_kappa(n, min(cosine, float(langevin.mean_cosine(n, 1e5))))
-    threshold = langevin.matched_kappa(n, 1 / np.sqrt(2 * n_edges / n_nodes + 1))
+    threshold = langevin.matched_kappa(n, bounds.recovery_cosine(n_nodes, n_edges))
     told |= {"kappa": kappa, "kappa_threshold": threshold, "recoverable": kappa > threshold}
     if kappa > 0:
         squared = bounds.langevin_error_bound(n_nodes, problem.edges, n, kappa)

@@ -89,7 +89,7 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
 
 @contextmanager
 def _collector_paused() -> Iterator[None]:
-    """No search for cycles among a million words that are made at once: it takes as long as reading them."""
+    """No search for cycles among a million words that are made at once: it slows the reading."""
     was_on = gc.isenabled()
     gc.disable()
     try:

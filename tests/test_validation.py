@@ -47,8 +47,6 @@ KERNELS = {
     "fmsync.matching.explored.explore": "needs synchronised collections: tests/matching/test_explored.py",
     "fmsync.matching.output.load_synced": "reads what fmsync sync wrote: tests/matching/test_transfer.py",
     "fmsync.matching.synchronize.synchronize_matches": "stages of synchronize_shapes, which checks for it",
-    "fmsync.matching.transferred.transfer": "needs a synchronised collection: tests/matching/test_transfer.py",
-    "fmsync.matching.transferred.transfer_landmarks": "needs a synchronised collection: the same file",
     "fmsync.viz.explorer.State": "a record that explorer checks: tests/test_viz.py",
     "fmsync.viz.explorer.explorer": "draws what explore computed: tests/test_viz.py",
 }
@@ -75,6 +73,7 @@ ALLOWED = {
     ): "whoever makes an estimate names its method",
     ("fmsync.mesh_io.mesh_files", "paths", "of texts"): "the message begins with the name of the file",
     ("fmsync.problem.LangevinPrior", "kappa", "scalar"): "one concentration for all maps",
+    ("fmsync.matching.transferred.transfer", "values", "strings"): "labels may be words",
 }
 FREE_TEXT = {"name", "label", "fitted_on", "titles"}  # any string will do
 WORDS = {"vertices": "vertex", "faces": "face"}  # what messages call an item
@@ -196,6 +195,7 @@ class Valid:
             "fmsync.so.frechet_mean": {"rotations": so.exp(0.1 * omega)},
             "fmsync.langevin.matched_kappa": {"cosine": 0.5},
             "fmsync.energy.sparse_sums": {"blocks": c},
+            "fmsync.bounds.recovery_cosine": {"n_observations": 3.0},
             "fmsync.bounds.is_small_error": {"squared": np.array([0.5, 12.6])},
             "fmsync.calibration.rank": {"draws": rng.random((9, 4)), "truth": rng.random(4)},
             "fmsync.calibration.uniformity": {"ranks": np.arange(60) / 59, "n_draws": 59, "bins": 10},
@@ -253,6 +253,12 @@ class Valid:
             "fmsync.matching.conformal.ConformalCalibration.save": {"path": folder / "again.json"},
             "fmsync.matching.conformal.ConformalCalibration.load": {"path": folder / "calibration.json"},
             "fmsync.matching.latent.latent_maps": {"n_shapes": 4},
+            "fmsync.matching.transferred.transfer": {
+                "synced": synced, "values": rng.random(n_vertices), "calibration": calibration,
+            },
+            "fmsync.matching.transferred.transfer_landmarks": {
+                "synced": synced, "vertices": order[:3], "calibration": calibration,
+            },
             "fmsync.matching.synchronize.SyncedShapes.shared_functions": {"vertices": order[:4]},
             "fmsync.matching.synchronize.SyncedShapes.vertex_images": {"vertex": 3},
             "fmsync.matching.samples.SampledShape.sampled": {"size": 4},

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 import zlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fmsync import viz
+from fmsync import Shape, viz
 from fmsync.viz import scenes
 
 
@@ -30,7 +31,7 @@ def sphere(n_rings=20, radius=1.0, name="ball"):
         faces += [[here + j, here + j + 1, there + j] for j in range(k - 1)]
         faces += [[there + j, here + j + 1, there + j + 1] for j in range(k - 1)]
         faces += [[m * k, here, there], [m * k + 1, there + k - 1, here + k - 1]]
-    return SimpleNamespace(vertices=radius * vertices, faces=np.array(faces), name=name)
+    return Shape(radius * vertices, np.array(faces), name)
 
 
 def pixels(png):
@@ -100,8 +101,8 @@ def test_display_mesh_is_small_and_keeps_the_colours():
 
 def test_every_vertex_lies_inside_its_panel(no_gl):
     """A shape far from the origin, long towards the eye: nothing may touch the frame."""
-    long = sphere()
-    long.vertices = long.vertices * [3, 1, 1] + 100
+    ball = sphere()
+    long = replace(ball, vertices=ball.vertices * [3, 1, 1] + 100)
     image = pixels(viz.scene([long], alt="A long ball.").png)
     frame = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     assert frame.min() > 250
@@ -329,7 +330,7 @@ def test_explorer_carries_shapes_and_images_in_small_integers(no_gl):
 
 def test_explorer_thins_large_shapes_and_carries_vertices_to_the_nearest_drawn_ones(no_gl):
     ball = sphere(n_rings=80)  # 12,802 vertices
-    ball.vertices = ball.vertices + 10  # drawn about the origin
+    ball = replace(ball, vertices=ball.vertices + 10)  # drawn about the origin
     chosen = np.array([0, 5000, 12801])
     head, arrays = unpacked(
         viz.explorer([ball, ball], (chosen, chosen), [viz.State("map", (chosen[:, None],) * 2)], alt="Large balls.")

@@ -140,7 +140,6 @@ class RectangularEstimate:
         array([ True, False])
         """
         pairs = np.asarray(edges)
-        checks.indices("edges", pairs.ravel(), self.problem.n_nodes, "nodes")
         known = self._determined[tuple(pairs.T)]
         if not known.all():
             left, ours = np.flatnonzero(~known), self._relative(self.absolute, pairs[~known])

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import checks, so
+from fmsync import so
+from fmsync.checks import checked
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
 from fmsync.matching.latent import map_from_values
@@ -25,6 +26,7 @@ _STEP, _SETTLE = 6, 8  # functions by which the new maps grow, and rounds at the
 _SWEEPS = 30  # from the mode of a unimodal density, in which planes hardly depend on each other
 
 
+@checked(landmarks=">= 0")
 def add_shape(
     synced: SyncedShapes,
     shape: Shape,
@@ -48,7 +50,6 @@ def add_shape(
     >>> fmsync.matching.add_shape(synced, last).point_map(2, 0).shape
     (1000,)
     """
-    neighbours = None if neighbours is None else checks.count("neighbours", neighbours)
     rng, old, n, before = np.random.default_rng(rng), synced.shapes, synced.problem.n, len(synced.edges)
     if shape.name in synced.names:
         shape = replace(shape, name=f"{shape.name} (shape {len(old)})")
@@ -59,7 +60,7 @@ def add_shape(
     marks = stages.checked_landmarks(given, everybody, size)[-1]
     shapes = (*old, sample_shape(shape, old[0].basis.n, size, n, marks))
     stages.refuse_outlier_shapes(shapes)
-    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    logs = stages.log_spectra(shapes)
     others = np.sort(np.argsort(np.abs(logs[:-1] - logs[-1]).mean(axis=1), kind="stable")[:neighbours])
     edges, fixed = np.column_stack([others, np.full(len(others), len(old))]), synced.estimate.absolute[others]
     turn, each = basis_signs(synced.signs[others], n)[:, :, None], stages.parallel(jobs, False)  # (K, n, 1)

@@ -120,7 +120,6 @@ class SyncedShapes:
     @checked(i="< N", j="< N", level=checks.probability)
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
-        checks.probability("level", level)
         first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
         with single_threaded_blas():
             image = self.sample_images(i, j)
@@ -185,10 +184,9 @@ def synchronize_shapes(
     out, mirrored, or unlike the rest in its spectrum is a ValueError that names it; shapes of equal names become
     ``name (shape k)``.
 
-    Given maps are data and none is replaced by a proposal: on cats with a fifth of the pairs mirrored or shuffled that
-    made points no better, and would hide which maps are wrong. Those that the others contradict get an inlier weight
-    near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best of each pair: errors of several
-    maps of one pair are not independent.
+    Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
+    contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
+    of each pair: errors of several maps of one pair are not independent.
 
     Parameters
     ----------
@@ -356,9 +354,14 @@ def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Se
     return each
 
 
+def log_spectra(shapes: Sequence[SampledShape]) -> np.ndarray:
+    """(N, m - 1) logarithms of the eigenvalues, without that of the constant function."""
+    return np.log([s.basis.eigenvalues[1:] for s in shapes])
+
+
 def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
     """ValueError that names the shape whose spectrum is far from the rest."""
-    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    logs = log_spectra(shapes)
     apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
     if len(shapes) == 2 and apart.max() > _OUTLIER:
         names = " and ".join(s.shape.name for s in shapes)
@@ -399,7 +402,7 @@ def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches:
 
 def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
     """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
-    logs = np.log([s.basis.eigenvalues[1:] for s in shapes])
+    logs = log_spectra(shapes)
     apart = np.abs(logs[:, None] - logs).mean(axis=2)
     nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
     chosen = nx.Graph((i, int(j)) for i in range(len(shapes)) for j in nearest[i])

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import draw_images, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration, default_calibration
@@ -28,6 +29,7 @@ class Transferred:
     labels: np.ndarray | None
 
 
+@checked(i=">= 0", values=checks.plain)
 def transfer(
     synced: SyncedShapes, i: int, values: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[Transferred]:
@@ -46,7 +48,10 @@ def transfer(
     >>> front.labels, front.mean.shape, bool(np.allclose(front.mean.sum(axis=1), 1))
     (array([False,  True]), (1000, 2), True)
     """
-    i, first, given = checks.indices("i", [i], len(synced.shapes), "shapes")[0], synced.shapes[i], np.asarray(values)
+    checks.indices("i", [i], len(synced.shapes), "shapes")
+    first, given = synced.shapes[i], np.asarray(values)
+    if given.dtype.kind not in "fiubUS" or given.ndim == 0:
+        raise ValueError(f"values: numbers or words, one for each vertex, not {given.dtype} of shape {given.shape}")
     labels, functions = None, given
     if given.dtype.kind != "f":
         labels, number = np.unique(given, return_inverse=True)
@@ -74,6 +79,7 @@ def transfer(
     return found
 
 
+@checked(i=">= 0", vertices=checks.plain)
 def transfer_landmarks(
     synced: SyncedShapes, i: int, vertices: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -81,6 +87,7 @@ def transfer_landmarks(
 
     Radii are geodesic, in square roots of the area.
     """
+    checks.indices("i", [i], len(synced.shapes), "shapes")
     marks = checks.indices("vertices", vertices, synced.shapes[i].shape.n_vertices)
     found = []
     for j in range(len(synced.shapes)):

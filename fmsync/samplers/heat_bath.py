@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmsync import checks, so
+from fmsync import so
 from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as euclidean_energy
 from fmsync.samplers import langevin_kernels, plane_rotations
@@ -37,7 +37,7 @@ class HeatBath(Sampler):
     def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, over_relaxations: int = 1):
         target.only("heat-bath", energy="euclidean")
         problem = target.problem
-        self._problem, self._over, self._age = problem, checks.count("over_relaxations", over_relaxations, 0), 0
+        self._problem, self._over, self._age = problem, over_relaxations, 0
         streams = generators(rng, len(start), problem.n_nodes + 1)  # of the chain, then of its nodes
         self._states, self._streams = np.ascontiguousarray(streams[:, 0]), np.ascontiguousarray(streams[:, 1:])
         self._x = np.ascontiguousarray(so.transpose(start))  # (K, N, n, n), transposed maps

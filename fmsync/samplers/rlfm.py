@@ -78,7 +78,7 @@ class RLFM(Sampler):
         self._sums: np.ndarray | None = None  # neighbour sums of the present state, if known
         self._climbs, self._beta = drift == "printed", kappa / 2
         default = default_step(problem, kappa)
-        self._h = default if step is None else checks.positive("step", step)
+        self._h = default if step is None else step
         self._drift, self._noise = -self._h if self._climbs else self._h, np.sqrt(2 * self._h / self._beta)
         if not constrained:
             self._gram = gram_blocks(problem)

@@ -40,10 +40,9 @@ class Tempered(Sampler):
         hottest: float = 1e-3,
     ):
         checks.one_of("base", base, _BASES)
-        n_temperatures = checks.count("n_temperatures", n_temperatures, least=2)
         self._rng, self._n_chains = rng, len(start)
         self._ladder = np.linspace(0, 1, n_temperatures)  # (R,) inverse temperatures, coldest last
-        self._ladder[0] = checks.probability("hottest", hottest)
+        self._ladder[0] = hottest
         copies = np.repeat(start, n_temperatures, axis=0)  # replica r of chain k is number k R + r
         self._replicas = _BASES[base](target, copies, rng)
         self._place = np.tile(np.arange(n_temperatures), (len(start), 1))  # (K, R): of each replica on the ladder

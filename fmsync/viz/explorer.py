@@ -107,8 +107,7 @@ def explorer(
 
     Examples
     --------
-    >>> from types import SimpleNamespace
-    >>> ball = SimpleNamespace(vertices=np.eye(4)[:, :3], faces=[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]], name="a")
+    >>> ball = Shape(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]], "a")
     >>> every = np.arange(4)
     >>> explorer([ball, ball], (every, every), [State("map", (every[:, None], every[:, None]))], alt="Twice the same.")
     <Explorer: Twice the same.>
@@ -118,9 +117,7 @@ def explorer(
     drawn = [display_mesh(g, s.faces, _MAX_VERTICES) for g, s in zip(given, shapes)]
     near = [cKDTree(points).query(g)[1] for g, (points, _, _) in zip(given, drawn)]  # the drawn one of each vertex
     scale = float(max(np.abs(g).max() for g in given)) / 32000
-    corners = given[0][np.asarray(shapes[0].faces)]  # (F, 3, 3)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    unit = float(np.sqrt(areas.sum()))
+    unit = float(np.sqrt(shapes[0].area))
     across, upward, towards = AXES.T @ given[0][vertices[0]].T
     row = int((towards - 2 * np.hypot(across, upward)).argmax())  # in front, and in the middle of the picture
     arrays: list[tuple[np.ndarray, str]] = []

@@ -93,3 +93,13 @@ def test_what_has_no_such_balls_is_refused_in_words():
     path = data_gen.perturb(data_gen.planted(5, 4, nx.path_graph(5), rng=0), 0.1, rng=1)
     with pytest.raises(ValueError, match="without cycles or repeated edges does not show its noise level"):
         fmsync.solve(path).confidence_balls(0.9)
+
+
+def test_in_many_dimensions_they_are_too_small_unless_the_noise_is_weak():
+    """n = 20: balls of 50 % hold clearly fewer, as the docstring says."""
+    shares = []
+    for seed in range(60):
+        truth = data_gen.planted(11, 20, rng=[seed, 1])
+        centre, found = fmsync.solve(data_gen.perturb(truth, 0.05, rng=[seed, 2])).confidence_balls(0.5)
+        shares.append((np.linalg.norm(centre - truth.maps, axis=(1, 2)) <= found).mean())
+    assert np.mean(shares) < 0.5 - 4 * np.std(shares, ddof=1) / np.sqrt(len(shares))
