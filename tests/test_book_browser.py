@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import tempfile
+from dataclasses import replace
 from functools import cache
 from importlib import util
 from pathlib import Path
@@ -390,9 +391,9 @@ def _settled(page, element) -> np.ndarray:
 @pytest.fixture(scope="module")
 def explored(tmp_path_factory):
     """A page with nothing but an explorer of two eggs, where vertices go to themselves, upside down, or astray."""
-    ball, other = sphere(n_rings=24), sphere(n_rings=24, name="other")
-    for egg in (ball, other):  # turning a ball would not be seen
-        egg.vertices = egg.vertices * [1, 0.6, 1]
+    ball = sphere(n_rings=24)
+    ball = replace(ball, vertices=ball.vertices * [1, 0.6, 1])  # turning a ball would not be seen
+    other = replace(ball, name="other")
     chosen = np.arange(0, len(ball.vertices), 9)
     rings = chosen // 24 * 24
     below = np.where(chosen < 48 * 24, rings + 23 - chosen % 24, chosen)  # the same longitude, the other hemisphere
