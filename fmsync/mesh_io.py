@@ -164,8 +164,29 @@ def _polygons(rows: Rows, at: int = 0) -> np.ndarray:
     return _fans(_converted(corners, int, rows, sizes), sizes)
 
 
+def _plain_off(data: bytes) -> Mesh | None:
+    """A file of OFF, counts, points and triangles, one a line and nothing else, in a tenth of the time; else None."""
+    head = re.match(rb"OFF\r?\n([1-9]\d{0,8}) +([1-9]\d{0,8}) +\d+[ \r]*\n", data)
+    if head is None or not data.isascii():
+        return None
+    lines = [line for line in data[head.end() :].decode().splitlines() if line.strip()]
+    n_vertices, n_faces = int(head[1]), int(head[2])
+    if len(lines) != n_vertices + n_faces or re.search(r"[^-+\d\s]", " ".join(lines[n_vertices:])):
+        return None
+    try:
+        points = np.loadtxt(lines[:n_vertices], ndmin=2, comments=None)
+        faces = np.loadtxt(lines[n_vertices:], np.int64, ndmin=2, comments=None)
+    except ValueError:
+        return None
+    plain = points.shape[1] == 3 and faces.shape[1] == 4 and (faces[:, 0] == 3).all() and np.isfinite(points).all()
+    return (points, faces[:, 1:]) if plain else None
+
+
 def _read_off(path: Path) -> Mesh:
-    rows = _rows(path.read_bytes())
+    data = path.read_bytes()
+    if plain := _plain_off(data):
+        return plain
+    rows = _rows(data)
     head = rows[0][1] if rows else [""]
     found = re.fullmatch(r"(?:ST)?C?N?OFF(\d*)", head[0])
     if found is None or "BINARY" in head:

@@ -161,18 +161,20 @@ def orientation_operators(shape: Shape, basis: Basis, functions: np.ndarray) -> 
     """
     faces = shape.faces
     assert faces is not None, "a point cloud has no orientation"
-    smooth = basis.eigenfunctions @ basis.coefficients(functions)  # (V, K)
+    n = basis.n
     corners = basis.eigenfunctions[faces]  # (F, 3, n)
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     middle = corners.mean(axis=1)
-    operators = []
-    for f in smooth.T:
-        u, v = f[faces[:, 1]] - f[faces[:, 0]], f[faces[:, 2]] - f[faces[:, 0]]
+    of_pairs = np.zeros((n, n, n))  # operator of every eigenfunction; it changes sign with the last index
+    for m in range(n):
         # the triple product is this over twice the area, its integral over the face half of it
-        operators.append(0.5 * middle.T @ (u[:, None] * across - v[:, None] * along))
+        twice = along[:, m, None] * across[:, m + 1 :] - across[:, m, None] * along[:, m + 1 :]
+        of_pairs[m, :, m + 1 :] = 0.5 * middle.T @ twice
+    of_pairs -= of_pairs.transpose(2, 1, 0)
+    operators = np.tensordot(basis.coefficients(functions), of_pairs, (0, 0))
     roots = np.zeros(basis.n)
     roots[1:] = basis.eigenvalues[1:] ** -0.5
-    return np.array(operators) * roots[:, None] * roots
+    return operators * roots[:, None] * roots
 
 
 def _descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:

@@ -122,8 +122,11 @@ def picture(fig: Figure, alt: str) -> Picture:
 def freeze(fig: Figure, scale: float) -> bytes:
     """PNG of a figure with ``scale`` device pixels for each CSS pixel, no type too small; the figure is closed."""
     fig.draw_without_rendering()  # the numbers at the axes exist only now
-    for text in fig.findobj(mpl.text.Text):
-        text.set_fontsize(max(text.get_fontsize(), _LEAST_TYPE))
+    small = [text for text in fig.findobj(mpl.text.Text) if float(text.get_fontsize()) < _LEAST_TYPE]
+    for text in small:
+        text.set_fontsize(_LEAST_TYPE)
+    if not small:
+        fig.set_layout_engine("none")  # laid out above, which takes as long as drawing
     buffer = io.BytesIO()
     fig.savefig(buffer, format="png", dpi=scale * fig.dpi)
     plt.close(fig)
