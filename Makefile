@@ -55,7 +55,7 @@ notebook-test: setup
 # last, so that the summary of what was looked at in the browser ends the log
 browser: setup
 	test -f $(HTML) || $(MAKE) book
-	pytest -q -rs -n $(JOBS) -m browser tests/test_book_browser.py tests/matching/test_report_browser.py
+	pytest -q -rs -n $(JOBS) --dist worksteal -m browser tests/test_book_browser.py tests/matching/test_report_browser.py
 
 # every chapter in eight worlds, the arithmetic of two processors by four shifts of all seeds: make worlds CHAPTERS="05_oracle 04_rlfm" SEED=1
 worlds: setup
