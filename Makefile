@@ -35,7 +35,7 @@ lint: setup
 
 # make unit COVERAGE="--cov --cov-report=term:skip-covered": which lines are tested; a third slower
 unit: setup
-	pytest -q -n $(JOBS) -m "not browser and not slow" $(COVERAGE)
+	pytest -q -n $(JOBS) --dist worksteal -p no:nbmake -m "not browser and not slow" $(COVERAGE)
 
 # the library without extras, in an environment of its own, with the oldest or newest releases that its bounds admit:
 # make core PINS=lowest

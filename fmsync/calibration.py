@@ -7,7 +7,7 @@ the truths.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from fmsync import checks
 from fmsync.checks import checked
@@ -39,7 +39,7 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     possible = np.arange(n_draws + 1) * bins // (n_draws + 1)  # bin of every rank
     expected = np.bincount(possible, minlength=bins) * len(ranks) / (n_draws + 1)
     observed = np.bincount(possible[np.rint(ranks * n_draws).astype(int)], minlength=bins)
-    return float(chi2.sf(((observed - expected) ** 2 / expected).sum(), bins - 1))
+    return float(chdtrc(bins - 1, ((observed - expected) ** 2 / expected).sum()))
 
 
 @checked(draws=checks.array, truth="m n")

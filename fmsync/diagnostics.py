@@ -5,10 +5,9 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from arviz_stats.base import array_stats
 
 from fmsync import checks
 from fmsync.checks import checked
@@ -135,7 +134,7 @@ def rhat(values: np.ndarray) -> float:
     True
     """
     values = _checked(values)
-    return float(array_stats.rhat(values)) if _varies(values) else np.nan
+    return float(_array_stats().rhat(values)) if _varies(values) else np.nan
 
 
 @checked(values=checks.real)
@@ -145,7 +144,14 @@ def ess(values: np.ndarray, kind: str = "bulk") -> float:
     values = _checked(values)
     if not _varies(values):
         return np.nan
-    return float(array_stats.ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
+    return float(_array_stats().ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
+
+
+def _array_stats() -> Any:
+    """Imported when a number is asked for: beside xarray and pandas the package takes seconds to import."""
+    from arviz_stats.base import array_stats  # noqa: PLC0415
+
+    return array_stats
 
 
 @checked(edges="K 2 < N")

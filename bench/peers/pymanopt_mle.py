@@ -1,9 +1,11 @@
-"""Maximum likelihood as others write it: pymanopt's trust regions on the power manifold SO(n)^N."""
+"""Maximum likelihood as others write it: pymanopt's trust regions on the power manifold SO(n)^N.
 
-import autograd.numpy as anp
+pymanopt and autograd are imported when it runs, so that nothing else waits for them.
+"""
+
+from typing import Any
+
 import numpy as np
-import pymanopt
-from pymanopt.optimizers import TrustRegions
 
 from fmsync.adapters import to_pymanopt
 from fmsync.estimators import Callback, Estimate, estimator, starting_point
@@ -27,6 +29,8 @@ def mle_pymanopt(
     Options are those of ``"mle"``, but the start is random by default, as in the paper. ``derivatives`` are written out
     (``"hand"``) or those of ``"autograd"``.
     """
+    from pymanopt.optimizers import TrustRegions
+
     if derivatives not in ("hand", "autograd"):
         raise ValueError(f"derivatives: 'hand' or 'autograd', not {derivatives!r}")
     start, recorder = starting_point(problem, init, rng), Recorder(callback)
@@ -39,8 +43,10 @@ def mle_pymanopt(
     return Estimate.from_absolute(problem, point, "mle-pymanopt", converged=converged, trace=trace)
 
 
-def _watched(problem: SyncProblem, plain: pymanopt.Problem, recorder: Recorder) -> pymanopt.Problem:
+def _watched(problem: SyncProblem, plain: Any, recorder: Recorder) -> Any:
     """The same objective, whose gradient -2 S tells the recorder of the cost, constant - Σ tr(C_j^T S_j), as well."""
+    import pymanopt
+
     ambient = pymanopt.function.numpy(plain.manifold)
 
     def gradient(c):
@@ -57,7 +63,10 @@ def _watched(problem: SyncProblem, plain: pymanopt.Problem, recorder: Recorder) 
     )
 
 
-def _by_autograd(problem: SyncProblem, manifold) -> pymanopt.Problem:
+def _by_autograd(problem: SyncProblem, manifold) -> Any:
+    import autograd.numpy as anp
+    import pymanopt
+
     i, j = problem.edges.T
 
     @pymanopt.function.autograd(manifold)

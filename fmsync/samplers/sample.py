@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import checks, so
-from fmsync.checks import checked
+from fmsync.checks import checked, unchecked
 from fmsync.diagnostics import ConvergenceWarning, warn_unless_converged
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
@@ -164,5 +164,5 @@ def starts(
     elif not isinstance(init, Estimate) and np.ndim(init) == 4:
         if len(init) != n_chains:
             raise ValueError(f"init: {len(init)} starts for {n_chains} chains")
-        return np.stack([starting_point(problem, start, rng) for start in init])
+        return np.stack([unchecked(starting_point)(problem, start, rng) for start in init])
     return np.stack([starting_point(problem, init, rng)] * n_chains)

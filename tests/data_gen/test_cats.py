@@ -32,6 +32,12 @@ def small():
 
 
 @pytest.fixture(scope="module")
+def rest():
+    """Vertices, faces and mirror, made here and not read from a cache."""
+    return cat_mesh.rest_mesh(1000)
+
+
+@pytest.fixture(scope="module")
 def bases(default):
     return fix_signs([fmsync.laplace_beltrami(s.vertices, s.faces, N_BASIS) for s in default])
 
@@ -171,8 +177,8 @@ def test_head_tail_and_paws_are_the_extrema_of_geodesic_distance(default):
     assert extrema <= paws | {"tail6", "head", "left ear", "right ear"}
 
 
-def test_flip_is_an_isometry_of_the_symmetric_cat_at_rest_and_not_of_the_other():
-    vertices, faces, mirror = cat_mesh.rest_mesh(1000)
+def test_flip_is_an_isometry_of_the_symmetric_cat_at_rest_and_not_of_the_other(rest):
+    vertices, faces, mirror = rest
     np.testing.assert_array_equal(mirror, left_right_flip(1000))
     np.testing.assert_allclose(vertices[mirror], vertices * [1, -1, 1], atol=1e-12)
     flipped = {tuple(sorted(face)) for face in mirror[faces].tolist()}
@@ -231,14 +237,14 @@ def test_bones_move_rigidly_and_stay_joined():
                 np.testing.assert_allclose(*carried, atol=1e-12)
 
 
-def test_rest_pose_without_tone_changes_nothing():
-    vertices, faces, _ = cat_mesh.rest_mesh(1000)
+def test_rest_pose_without_tone_changes_nothing(rest):
+    vertices, faces, _ = rest
     posed = Rig(vertices, faces).pose({}, np.zeros_like(muscle_tone(0)))
     np.testing.assert_allclose(posed, vertices, atol=1e-9)
 
 
-def test_the_skin_surrounds_the_bones_and_the_vertices_lie_on_it():
+def test_the_skin_surrounds_the_bones_and_the_vertices_lie_on_it(rest):
     inside = np.array([cone.start for cone in cones()])
     assert (skin(inside) < 0).all()
-    vertices, _, _ = cat_mesh.rest_mesh(1000)
+    vertices, _, _ = rest
     assert np.abs(skin(vertices)).max() < 1e-3 * BLEND

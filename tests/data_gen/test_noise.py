@@ -116,8 +116,8 @@ class TestOutliers:
             np.testing.assert_allclose(truth.absolute[i] @ p.maps[e] @ truth.absolute[j].T, truth.flip, atol=1e-10)
 
     def test_flips_of_shapes_mirror_the_body(self):
-        shapes = data_gen.load_collection("cats", count=3, n_vertices=1500, symmetric=True)
-        truth = data_gen.ground_truth(shapes, nx.complete_graph(3), 12, flip=left_right_flip(1500))
+        shapes = data_gen.load_collection("cats", count=3, n_vertices=1000, symmetric=True)
+        truth = data_gen.ground_truth(shapes, nx.complete_graph(3), 12, flip=left_right_flip(1000))
         np.testing.assert_allclose(truth.flip @ truth.flip, np.eye(12), atol=0.05)  # a pose is not symmetric
         assert np.linalg.norm(truth.flip - np.eye(12)) > 2
 

@@ -3,6 +3,7 @@
 import networkx as nx
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import data_gen
 import fmsync
@@ -103,10 +104,18 @@ def test_point_maps_replace_a_common_order(shapes):
     assert identity.shape == order.shape
 
 
-def test_bad_input(shapes):
-    other = data_gen.load_collection("cats", count=1, n_vertices=1500)[0]
+@pytest.fixture(scope="module")
+def fine(shapes):
+    """The second shape with four times the faces."""
+    import pyvista as pv
+
+    mesh = pv.PolyData.from_regular_faces(shapes[1].vertices, shapes[1].faces).subdivide(1, "loop")
+    return fmsync.Shape(np.asarray(mesh.points, dtype=float), mesh.regular_faces, "fine")
+
+
+def test_bad_input(shapes, fine):
     with pytest.raises(ValueError, match="equal vertex counts"):
-        data_gen.ground_truth([shapes[0], other], nx.complete_graph(2), 5)
+        data_gen.ground_truth([shapes[0], fine], nx.complete_graph(2), 5)
     with pytest.raises(ValueError, match="3 nodes for 4 shapes"):
         data_gen.ground_truth(shapes, nx.complete_graph(3), 5)
     with pytest.raises(ValueError, match="tree"):
@@ -115,15 +124,14 @@ def test_bad_input(shapes):
         data_gen.ground_truth(shapes, nx.Graph([(0, 1), (2, 3)]), 5)
 
 
-def test_correspondence_files_reach_shapes_of_unequal_vertex_counts(shapes):
+def test_correspondence_files_reach_shapes_of_unequal_vertex_counts(shapes, fine):
     """A finer mesh of the same pose, known through a common template, gives nearly the same maps."""
-    fine = data_gen.load_collection("cats", count=2, n_vertices=1500)[1]
-    nearest = np.linalg.norm(shapes[1].vertices[:, None] - fine.vertices, axis=2).argmin(axis=1)
+    nearest = cKDTree(fine.vertices).query(shapes[1].vertices)[1]
     identity = np.arange(shapes[0].n_vertices)
     graph = nx.path_graph(3)
     mixed = [shapes[0], fine, shapes[2]]
     maps = data_gen.correspondence_maps(mixed, [identity, nearest, identity], data_gen.graph_edges(graph))
-    assert [len(maps[edge]) for edge in ((0, 1), (1, 2))] == [1000, 1500]
+    assert [len(maps[edge]) for edge in ((0, 1), (1, 2))] == [1000, fine.n_vertices]
     truth = data_gen.ground_truth(mixed, graph, 10, point_maps=maps)
     same_order = data_gen.ground_truth(shapes[:3], graph, 10)
     np.testing.assert_allclose(np.abs(truth.measured_maps), np.abs(same_order.measured_maps), atol=0.05)
