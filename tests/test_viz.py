@@ -385,7 +385,7 @@ def test_bad_explorers_are_refused(changed, message):
 
 def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl):
     chosen = np.arange(600)
-    images = np.random.default_rng(0).integers(0, 802, (600, 900))
+    images = np.random.default_rng(0).integers(0, 802, (600, 600))
     with pytest.raises(ValueError, match="give fewer vertices or states"):
         viz.explorer(
             [sphere(), sphere()], (chosen, chosen), [viz.State("map", (images, images)) for _ in range(3)], alt="Much."
