@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from fmsync.descriptors import heat_kernel_signature
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
@@ -13,7 +14,7 @@ from fmsync.threads import single_threaded_blas
 _NEAR = 0.05  # square roots of the area: images this near to each other count as one place
 _FAR = 0.12  # two places this far apart are two modes
 _SHARE = 0.2  # and both hold this share of the votes
-_NEIGHBOURS, _AROUND = 8, 0.15  # samples that tell local distortion, square roots of the area it is averaged over
+_NEIGHBOURS, _AROUND = 0.1, 0.15  # square roots of the area: how far local distortion looks, and is averaged over
 _ALIKE = 0.05  # largest difference of the logarithms of heat kernel signatures of places that look the same
 
 
@@ -42,8 +43,8 @@ class Confidence:
     level
         Of the region, in (0, 1).
     local_distortion
-        (S,) mean relative change of the distances to the nearest samples, averaged over the neighbourhood: where the
-        map tears, folds or slides; a pure number.
+        (S,) relative change of the distances to the samples nearby, averaged over the neighbourhood: where the map
+        tears, folds or slides; a pure number, which hardly depends on how many samples there are.
     distortion
         (S,) mean change of the geodesic distances to all other samples: wrong maps, shapes that are not isometric.
     """
@@ -150,13 +151,14 @@ def samples_to_vertices(first: SampledShape, values: np.ndarray) -> np.ndarray:
 
 
 def local_distortion(first: SampledShape, images: np.ndarray) -> np.ndarray:
-    """Mean relative change of the distances of samples to the nearest ones, given their images (S, 3); smoothed.
+    """Relative change of the distances of samples to those nearby, given their images (S, 3); smoothed.
 
-    Straight-line distances between vertices: neighbours are near, and images among samples would be too coarse.
+    Straight-line distances between vertices: images among samples would be too coarse. What is near is said in square
+    roots of the area, by Gaussian weights: the nearest few samples would lie the closer the more samples there are.
     """
     points, g = first.shape.vertices[first.samples], first.geodesics
-    near = np.argsort(g, axis=1, kind="stable")[:, 1 : _NEIGHBOURS + 1]  # (S, K)
-    before, after = (np.linalg.norm(x[:, None] - x[near], axis=2) for x in (points, images))
-    change = (np.abs(after - before) / np.maximum(before, 1e-9)).mean(axis=1)
+    before, after = cdist(points, points), cdist(images, images)
+    near = np.exp(-((g / _NEIGHBOURS) ** 2))
+    change = (near * np.abs(after - before)).sum(axis=1) / np.maximum((near * before).sum(axis=1), 1e-12)
     weights = np.exp(-((g / _AROUND) ** 2))
     return weights @ change / weights.sum(axis=1)

@@ -21,7 +21,7 @@ from fmsync.threads import single_threaded_blas
 
 _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
-_GROWTH, _SETTLE = 1.3, 2  # of the maps at each step, and steps at the final size
+_STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
 
 
 @checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
@@ -102,8 +102,4 @@ def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values
 
 def sizes(k: int, size: int) -> list[int]:
     """Sizes of the maps on the way from k to ``size``."""
-    steps = []
-    while k < size:
-        k = min(size, max(k + 4, int(k * _GROWTH)))
-        steps.append(k)
-    return steps + [size] * _SETTLE
+    return [*range(k + _STEP, size, _STEP), *[size] * (1 + _SETTLE)]

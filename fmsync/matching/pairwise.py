@@ -1,8 +1,8 @@
 r"""A functional map of two shapes from nothing but the shapes.
 
-Signs of the first eigenfunctions and a fit of descriptors give many rough maps; spectral upsampling (ZoomOut, Melzi et
-al. 2019) makes each of them precise or exposes it; the one that keeps geodesic distances and orientation is the answer.
-Trying many signs is the idea of MapTree (Ren et al. 2020).
+Signs of the first eigenfunctions, turns of neighbours that a pose may mix, and a fit of descriptors give many rough
+maps; spectral upsampling (ZoomOut, Melzi et al. 2019) makes each of them precise or exposes it; the one that keeps
+geodesic distances and orientation is the answer. Trying many signs is the idea of MapTree (Ren et al. 2020).
 """
 
 import itertools
@@ -18,9 +18,11 @@ from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
 
 _SIGNS = 7  # first eigenfunctions whose signs are all tried: 64 maps
-_ROUGH_SAMPLES, _SAMPLES = 150, 300
-_ROUGH, FINE = 20, 50  # sizes to which candidates are upsampled before the first and the second choice
-_SURVIVORS = 6
+_MIXED = 0.25  # neighbours whose log-eigenvalues are nearer may be turned: a pose moves each by up to a third of that
+_SAMPLES = 80, 150, 300  # by which candidates are compared at the first, second and third choice,
+_SIZES = 9, 20, 50  # and the sizes to which they are upsampled before
+FINE = _SIZES[-1]
+_SURVIVORS = 128, 12  # of the first and the second choice
 _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
 
 
@@ -54,18 +56,20 @@ class PairMatch:
 @checked()
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
+    few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)
+
+    def survivors(maps: np.ndarray, images: np.ndarray, count: int) -> np.ndarray:
+        return maps[np.argsort(_costs(*map_scores(first, second, maps, images)), kind="stable")[:count]]
+
     with single_threaded_blas():
-        top = min(FINE, first.basis.n, second.basis.n)
-        rough = min(_ROUGH, top)
-        signs = np.array([[1, *s] for s in itertools.product([1.0, -1.0], repeat=min(_SIGNS, rough) - 1)])
-        starts = [signs[:, :, None] * np.eye(signs.shape[1]), _fitted(first, second, rough)[None]]
-        upsampled = [zoomout(first, second, start, rough, 2, _ROUGH_SAMPLES) for start in starts]
-        maps, images = (np.concatenate(part) for part in zip(*upsampled))
+        starts = _turned_signs(first.basis, second.basis, min(_SIGNS, few))
+        maps = survivors(*zoomout(first, second, starts, few, 2, _SAMPLES[0]), _SURVIVORS[0])
+        starts = [maps, _fitted(first, second, rough)[None]]
+        upsampled = zip(*(zoomout(first, second, start, rough, 2, _SAMPLES[1]) for start in starts))
+        maps = survivors(*map(np.concatenate, upsampled), _SURVIVORS[1])
+        maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
         distortion, orientation, missed = map_scores(first, second, maps, images)
-        best = np.argsort(distortion - _ORIENTED * orientation + missed, kind="stable")[:_SURVIVORS]
-        maps, images = zoomout(first, second, maps[best], top, 6, _SAMPLES)
-        distortion, orientation, missed = map_scores(first, second, maps, images)
-    k = int(np.argmin(distortion - _ORIENTED * orientation + missed))
+    k = int(np.argmin(_costs(distortion, orientation, missed)))
     mirrored = distortion[orientation < 0].min(initial=np.inf)
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored))
 
@@ -74,7 +78,7 @@ def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: i
     """A proposed map, upsampled to at most ``size`` and scored like the candidates of :func:`match`."""
     with single_threaded_blas():
         top = min(size, first.basis.n, second.basis.n)
-        maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES)
+        maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES[2])
         distortion, orientation, _ = map_scores(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
 
@@ -114,6 +118,23 @@ def map_scores(
     left, right = first.orientation[:, :n, :n] @ rotations, rotations @ second.orientation[:, :n, :n]
     scale = np.sqrt((left**2).sum((1, 2, 3)) * (right**2).sum((1, 2, 3)))
     return distortion, (left * right).sum((1, 2, 3)) / np.maximum(scale, 1e-300), missed
+
+
+def _costs(distortion: np.ndarray, orientation: np.ndarray, missed: np.ndarray) -> np.ndarray:
+    return distortion - _ORIENTED * orientation + missed
+
+
+def _turned_signs(first: Basis, second: Basis, k: int) -> np.ndarray:
+    """Candidates (R, k, k): all signs, as they are and with eighths of a turn of two neighbours that may be mixed."""
+    logs = np.log([basis.eigenvalues[1:k] for basis in (first, second)]).mean(axis=0)
+    turns = [np.eye(k)]
+    for a in 1 + np.flatnonzero(np.diff(logs) < _MIXED):
+        for angle in np.pi / 4 * np.array([1, 2, 3]):  # with the signs all sixteen eighths, turned and reflected
+            turn = np.eye(k)
+            turn[a : a + 2, a : a + 2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            turns.append(turn)
+    signs = np.array([[1, *s] for s in itertools.product([1.0, -1.0], repeat=k - 1)])
+    return (np.array(turns)[:, None] * signs[:, None]).reshape(-1, k, k)
 
 
 def _fitted(first: SampledShape, second: SampledShape, n: int) -> np.ndarray:
