@@ -1,6 +1,6 @@
 """From an implicit body to an even triangulation with any number of vertices, mirror symmetric vertex by vertex.
 
-Half of the skin (y >= 0), of the cat if nothing else is said, is contoured finely, covered by a centroidal Voronoi tessellation whose sites either lie in
+Half of the skin (y >= 0) is contoured finely, covered by a centroidal Voronoi tessellation whose sites either lie in
 the mirror plane or off it, and the dual triangles are mirrored and glued along the plane (approximated centroidal
 Voronoi diagrams: Valette and Chassery 2004).
 """
@@ -18,6 +18,13 @@ Skin = Callable[[np.ndarray], np.ndarray]  # (P, 3) -> (P,): zero on the surface
 
 _LOW, _HIGH = np.array([-1.0, 0.0, -0.05]), np.array([0.58, 0.22, 0.78])
 _LLOYD_STEPS = 60
+_MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
+
+
+def check_resolution(n_vertices: int) -> None:
+    """Refuse numbers of vertices for which no mesh is made."""
+    if not _MIN_VERTICES <= n_vertices <= _MAX_VERTICES:
+        raise ValueError(f"n_vertices = {n_vertices}: ask for {_MIN_VERTICES} to {_MAX_VERTICES} vertices")
 
 
 def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -39,7 +46,7 @@ def mirrored_mesh(skin: Skin, points, triangles, normals, n_vertices: int, n_ste
     the mirror plane come first, then the left ones, then their mirror images in the same order. With too few vertices
     for its thin parts the mesh is no sphere (:func:`is_sphere`).
     """
-    areas = _vertex_areas(points, triangles)  # (P,)
+    areas = vertex_areas(points, triangles)  # (P,)
     edge = np.sqrt(2 * areas.sum() / n_vertices * 2 / np.sqrt(3))  # of an equilateral triangle of the mean area
     n_plane = round(_boundary_length(points, triangles) / edge)
     n_plane += (n_vertices - n_plane) % 2
@@ -85,7 +92,8 @@ def _onto_skin(skin, points):
     return points
 
 
-def _vertex_areas(points, triangles):
+def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """A third of the triangles around each point (P,)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(points))
@@ -103,7 +111,7 @@ def voronoi(points, areas, normals, in_plane, n_plane, n_left, edge, n_steps, rn
 
     Distances count the direction of the surface too, so that no cell reaches through an ear or a tail to the far side.
     """
-    features = np.hstack([points, 0.5 * edge * normals / np.linalg.norm(normals, axis=1, keepdims=True)])  # (P, 6)
+    features = with_normals(points, normals, edge)
     plane, left = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
     drawn = rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum())
     sites = features[np.r_[_farthest(points, plane, n_plane) if n_plane else plane, drawn]]
@@ -116,6 +124,11 @@ def voronoi(points, areas, normals, in_plane, n_plane, n_left, edge, n_steps, rn
         sites = sums / weight[:, None]
         sites[:n_plane, [1, 4]] = 0
     return labels, sites[:, :3]
+
+
+def with_normals(points: np.ndarray, normals: np.ndarray, edge: float) -> np.ndarray:
+    """Points (P, 6) in space and in the direction of the surface there, the latter as much as half an edge length."""
+    return np.hstack([points, 0.5 * edge * normals / np.linalg.norm(normals, axis=1, keepdims=True)])
 
 
 def _farthest(points, candidates, count):
