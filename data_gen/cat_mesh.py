@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from data_gen.cat_body import skin
 from fmsync.extras import require
+from fmsync.shape import edges_of_faces
 
-Skin = Callable[[np.ndarray], np.ndarray]  # (P, 3) -> (P,): zero on the surface, negative inside
+Skin = Callable[[np.ndarray], np.ndarray]  # (..., 3) -> (...,): zero on the surface, negative inside
 
 _LOW, _HIGH = np.array([-1.0, 0.0, -0.05]), np.array([0.58, 0.22, 0.78])
 _LLOYD_STEPS = 60
@@ -29,7 +30,8 @@ def check_resolution(n_vertices: int) -> None:
 
 def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangulate the cat at rest, see :func:`mirrored_mesh`."""
-    points, triangles = half_skin(skin, _LOW, _HIGH, 0.008, 7 * n_vertices)
+    surface = half_skin(lambda grid: skin(grid.reshape(-1, 3)), _LOW, _HIGH, 0.008)
+    points, triangles = refined(surface, 7 * n_vertices)
     points = _onto_skin(skin, points)
     vertices, faces, mirror = mirrored_mesh(
         skin, points, triangles, _gradient(skin, points), n_vertices, _LLOYD_STEPS, np.random.default_rng(0)
@@ -62,12 +64,16 @@ def mirrored_mesh(skin: Skin, points, triangles, normals, n_vertices: int, n_ste
     return vertices, faces, mirror
 
 
-def half_skin(skin: Skin, low, high, step: float, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Contour y >= 0 in a box and refine to ``n_samples`` samples or more; the rim lies exactly in y = 0."""
-    pv = require("pyvista", "shapes")
+def half_skin(skin: Skin, low: np.ndarray, high: np.ndarray, step: float):
+    """Contour y >= 0 in a box, from the values of ``skin`` on a grid (nz, ny, nx, 3) of points: a pyvista surface."""
     counts = np.ceil((high - low) / step).astype(int) + 1
-    grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=low)
-    surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
+    grid = require("pyvista", "shapes").ImageData(dimensions=counts, spacing=(step,) * 3, origin=low)
+    values = skin(np.asarray(grid.points).reshape(*counts[::-1], 3))
+    return grid.contour([0.0], scalars=values.ravel(), method="flying_edges")
+
+
+def refined(surface, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """At least ``n_samples`` points on a surface and triangles between them; the rim lies exactly in y = 0."""
     while surface.n_points < n_samples:
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
@@ -100,9 +106,8 @@ def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def _boundary_length(points, triangles):
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    first, second = unique[count == 1].T
+    codes, count = np.unique(edges_of_faces(triangles) @ [len(points), 1], return_counts=True)
+    first, second = np.divmod(codes[count == 1], len(points))
     return np.linalg.norm(points[first] - points[second], axis=1).sum()
 
 

@@ -14,7 +14,6 @@ from data_gen.cat_pose import Pose
 
 _THIN = 0.028  # smallest radius: what a mesh of 1000 vertices still resolves
 _FAR = 0.5  # a distance at which flesh is not felt
-_FLAT = (1.15, 1.0, 0.62)  # scale of fins and wings
 
 
 @dataclass
@@ -34,19 +33,18 @@ class Body:
         """The implicit function (P,) of points (P, 3)."""
         return melted(points, self.parts, self.blend)
 
-    def rough_skin(self, points: np.ndarray) -> np.ndarray:
-        """The same up to 1 % of ``blend`` near the skin, quickly: each cone is looked at from nearby alone."""
-        distances = np.full((len(self.parts), len(points)), _FAR)
-        for distance, part in zip(distances, self.parts):
+    def rough_skin(self, grid: np.ndarray) -> np.ndarray:
+        """The same on a grid (nz, ny, nx, 3), up to 2 % of ``blend``: each cone is looked at from nearby alone."""
+        axes = grid[0, 0, :, 0], grid[0, :, 0, 1], grid[:, 0, 0, 2]
+        total = np.full(grid.shape[:3], np.exp(-_FAR / self.blend))
+        for part in self.parts:
+            distance = np.full(grid.shape[:3], _FAR)
             for cone in part:
-                room = 5 * self.blend + max(cone.radius_start, cone.radius_end) * max(cone.scale)
-                ends = np.array([cone.start, cone.end])
-                near = ((points > ends.min(axis=0) - room) & (points < ends.max(axis=0) + room)).all(axis=1)
-                near = np.flatnonzero(near)
-                distance[near] = np.minimum(distance[near], cone_distance(points[near], cone))
-        total = np.full(len(points), np.exp(-_FAR / self.blend))
-        some = np.flatnonzero((distances < _FAR).any(axis=0))
-        total[some] += np.exp(-distances[:, some] / self.blend).sum(axis=0)
+                room = 4 * self.blend + max(cone.radius_start, cone.radius_end) * max(cone.scale)
+                low, high = np.sort([cone.start, cone.end], axis=0) + np.array([[-room], [room]])
+                near = tuple(slice(*axis.searchsorted(ends)) for axis, *ends in zip(axes, low, high))[::-1]
+                distance[near] = np.minimum(distance[near], cone_distance(grid[near], cone))
+            total += np.exp(-distance / self.blend)
         return -self.blend * np.log(total)
 
     def cones(self) -> list[Cone]:
@@ -112,7 +110,7 @@ def draw_body(rng: np.random.Generator) -> Body:
     plan = rng.choice(["quadruped", "sprawling", "upright", "biped", "hexapod", "swimmer"], p=_SHARES)
     body = Body(blend=rng.uniform(0.014, 0.028))
     rise = {"upright": (68, 88), "biped": (10, 45), "swimmer": (-4, 6)}.get(plan, (-6, 14))
-    trunk = _trunk(body, rng, rng.uniform(*rise), rng.uniform(0.38, 0.62) if plan != "upright" else 0.42)
+    trunk = _trunk(body, rng, rng.uniform(*rise), rng.uniform(*((0.34, 0.46) if plan == "upright" else (0.38, 0.62))))
     _limbs(body, rng, plan, trunk)
     _necks(body, rng, plan, trunk)
     _tail(body, rng, plan, trunk)
@@ -126,7 +124,7 @@ _SHARES = [0.28, 0.14, 0.18, 0.16, 0.12, 0.12]
 def _trunk(body, rng, rise, length):
     """Three bones from the hips to the chest: ends (4, 3), radii (4,) and the direction in degrees."""
     arch = rng.uniform(-12, 12)
-    girth = length * rng.uniform(0.19, 0.29)
+    girth = length * rng.uniform(0.18, 0.33)
     radii = girth * rng.uniform([0.8, 0.8, 0.9, 0.8], [1.0, 1.15, 1.2, 1.0])
     directions = [towards(rise + arch), towards(rise), towards(rise - arch)]
     turns = [[0, 0, 0, 0], [7, 11, 10, 0], [7, 11, 10, 0]]
@@ -146,13 +144,16 @@ def _limbs(body, rng, plan, trunk):
     thick = rng.uniform(0.34, 0.6)
     knee = rng.choice([-1, 1]) * rng.uniform(8, 30)
     if plan == "swimmer":
-        for k, name in ((2, "left fin"), (0, "left fluke"))[: rng.integers(1, 3)]:
-            size = rng.uniform(0.25, 0.48) * (1 if k else 0.7)
-            back, out = rng.uniform(160, 200), rng.uniform(50, 72)
-            start = points[k] + [0.02, 0.6 * radii[k], -0.3 * radii[k]]
-            shape = np.array([0.07, 0.08, 0.045]) * rng.uniform(0.8, 1.1)
-            turns = [[22, 12, 22, 0], [14, 8, 14, 0]]
-            body.chain(name, f"trunk{k}", start, [towards(back, out)] * 2, [size / 2] * 2, shape, turns, _FLAT)
+        for k in (2, 0)[: rng.integers(1, 3)]:
+            _fin(
+                body,
+                rng,
+                f"left fin{k} ",
+                f"trunk{k}",
+                points[k] * 0.6 + points[k + 1] * 0.4,
+                radii[k],
+                1 + 0.3 * (k - 2),
+            )
         return
     places = {"upright": [0], "biped": [0], "hexapod": [0, 1, 2]}.get(plan, [0, 2])
     splay = {"sprawling": (35, 65), "hexapod": (15, 60), "upright": (3, 12)}.get(plan, (0, 10))
@@ -175,6 +176,16 @@ def _leg(body, rng, name, parent, at, girth, length, thick, knee, splay):
     radii = top * np.array([1.25, 0.85, rng.uniform(0.55, 0.8), rng.uniform(0.6, 0.85)])
     turns = [[8, 30, 7, 0], [2, 24, 2, np.sign(knee) * 12], [2, 18, 4, 0]]
     body.chain(name, parent, start, directions, [0.5 * length, 0.5 * length, foot], radii, turns)
+
+
+def _fin(body, rng, name, parent, at, girth, size):
+    """A broad blade of two bones, held out to the side and back."""
+    back, out, size = rng.uniform(165, 195), rng.uniform(50, 80), size * rng.uniform(0.28, 0.5)
+    start = at + np.array([0, 0.6 * girth, -0.3 * girth])
+    radii = np.array([0.07, 0.1, 0.05]) * rng.uniform(0.8, 1.1)
+    turns = [[22, 12, 22, 0], [14, 8, 14, 0]]
+    directions = [towards(back, out), towards(back, out - 15)]
+    body.chain(name, parent, start, directions, [0.55 * size, 0.45 * size], radii, turns, (1.2, 1.0, 0.5))
 
 
 def _arm(body, rng, at, girth, length, thick):

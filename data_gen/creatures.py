@@ -5,17 +5,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, eye_array, vstack
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from data_gen.cache import cached
+from data_gen.cat_body import Bone
 from data_gen.cat_mesh import (
     check_resolution,
     dual_triangles,
     half_skin,
     is_sphere,
     mirrored_mesh,
+    refined,
     vertex_areas,
     voronoi,
     with_normals,
@@ -28,7 +30,7 @@ from fmsync.checks import checked
 from fmsync.shape import Shape, edges_of_faces
 
 _STEP = 0.014  # of the grid on which a body is contoured
-_LLOYD_STEPS = 15
+_LLOYD_STEPS, _REMESHING_STEPS = 15, 8
 _EASE = 0.9  # share of the joint angles that is kept from one try to the next
 _DRAWS = 40  # tries to find a body, a mesh or a pose
 _ARRAYS = ("vertices", "faces", "common", "opposite", "located")
@@ -101,13 +103,15 @@ def _recipe() -> str:
 
 def _build(species, count, n_vertices, seed, symmetric, remeshed):
     body, vertices, faces, mirror = _at_rest(species, n_vertices)
-    rig = Rig(vertices, faces, body.bones, body.cones())
+    resting = vertices, body.bones, body.cones()
     if not symmetric:
-        rig = _lopsided(rig, body, np.random.default_rng([species, _DRAWS]))
+        resting = _lopsided(vertices, faces, body, np.random.default_rng([species, _DRAWS]))
+    rig = Rig(resting[0], faces, *resting[1:])
     levels = _subdivisions(faces, mirror)
-    own = located = np.arange(n_vertices)
+    own, corners = np.arange(n_vertices), eye_array(n_vertices, format="csr")
     for edges, _, _ in levels:
-        located = np.r_[located, located[edges[:, 0]]]
+        corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
+    located = corners.argmax(axis=1)
     arrays = {}
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
@@ -120,16 +124,13 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
 
 def _at_rest(species, n_vertices):
     """Body, vertices, faces and mirror of the first plan whose left half is a disc: no holes between limbs."""
-    for attempt in range(_DRAWS):
-        body = draw_body(np.random.default_rng([species, attempt]))
-        points, triangles = half_skin(body.rough_skin, *body.box(), _STEP, 0)
-        if _is_disc(triangles, len(points)):
-            break
-    else:
+    plans = (draw_body(np.random.default_rng([species, attempt])) for attempt in range(_DRAWS))
+    halves = ((body, half_skin(body.rough_skin, *body.box(), _STEP)) for body in plans)
+    body, half = next(((body, half) for body, half in halves if _is_disc(half)), (None, None))
+    if body is None:
         raise ValueError(f"species = {species}: none of {_DRAWS} body plans is a sphere; try another seed")
     for attempt in range(_DRAWS):
-        n_samples = (4 + 2 * attempt) * n_vertices
-        points, triangles = half_skin(body.rough_skin, *body.box(), _STEP, n_samples)
+        points, triangles = refined(half, (4 + 2 * attempt) * n_vertices)
         normals = vertex_normals(points, triangles)
         normals[points[:, 1] == 0, 1] = 0
         rng = np.random.default_rng([species, attempt])
@@ -139,29 +140,33 @@ def _at_rest(species, n_vertices):
     raise ValueError(f"species = {species}: no closed mesh of {n_vertices} vertices; ask for more")
 
 
-def _is_disc(triangles, n_points):
-    ends = np.unique(np.sort(edges_of_faces(triangles), axis=1), axis=0)
-    links = coo_array((np.ones(len(ends)), ends.T), shape=(n_points, n_points))
-    return n_points - len(ends) + len(triangles) == 1 and connected_components(links)[0] == 1
+def _is_disc(surface):
+    n = surface.n_points
+    codes = np.unique(edges_of_faces(surface.regular_faces) @ [n, 1])
+    links = coo_array((np.ones(len(codes)), np.divmod(codes, n)), shape=(n, n))
+    return n - len(codes) + surface.n_cells == 1 and connected_components(links)[0] == 1
 
 
-def _lopsided(rig, body, rng):
-    """The rig of a body whose right half is larger, growing smoothly from the mirror plane on."""
-    vertices = grow_right_half(rig.vertices, rng.uniform(0.02, 0.06), np.zeros(3))
-    bones, cones = list(body.bones), body.cones()
-    roots = [b for b in bones if b.name.startswith("right ") and b.parent.startswith("trunk") and "neck" not in b.name]
+def _lopsided(vertices, faces, body, rng):
+    """Vertices, bones and cones of a body whose right half is larger, growing smoothly from the mirror plane on."""
+    bones, cones = body.bones, body.cones()
+    growth = rng.uniform(0.02, 0.06)
     if rng.random() < 1 / 3:
-        root = roots[rng.integers(len(roots))]
-        growth, joint, stem = rng.uniform(0.15, 0.35), np.array(root.joint), root.name.rstrip("0")
+        roots = [bone for bone in bones if bone.name.startswith("right ") and bone.parent.startswith("trunk")]
+        root, excess = roots[rng.integers(len(roots))], rng.uniform(0.15, 0.35)
+        joint, stem = np.array(root.joint), root.name.rstrip("0")
         limb = np.array([bone.name.startswith(stem) for bone in bones])
-        vertices = vertices + growth * rig.weights[:, limb].sum(axis=1, keepdims=True) * (vertices - joint)
+        share = Rig(vertices, faces, bones, cones).weights[:, limb].sum(axis=1, keepdims=True)
+        vertices = vertices + excess * share * (vertices - joint)
 
-        def grown(point):
-            return tuple(point + growth * (np.array(point) - joint))
+        def grown(part, *ends):
+            if not (part.name if isinstance(part, Bone) else part.bone).startswith(stem):
+                return part
+            places = {end: np.array(getattr(part, end)) for end in ends}
+            return replace(part, **{end: tuple(at + excess * (at - joint)) for end, at in places.items()})
 
-        bones = [replace(b, joint=grown(b.joint)) if b.name.startswith(stem) else b for b in bones]
-        cones = [replace(c, start=grown(c.start), end=grown(c.end)) if c.bone.startswith(stem) else c for c in cones]
-    return Rig(vertices, rig.faces, bones, cones)
+        bones, cones = [grown(bone, "joint") for bone in bones], [grown(cone, "start", "end") for cone in cones]
+    return grow_right_half(vertices, growth, np.zeros(3)), bones, cones
 
 
 def _posed(rig, body, rng, name):
@@ -170,7 +175,8 @@ def _posed(rig, body, rng, name):
     signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
     tone = _TONE * np.array([signs[stem] for stem in stems])
     for attempt in range(_DRAWS):
-        vertices = rig.pose(body.pose(rng, _EASE**attempt), tone)
+        ease = _EASE**attempt
+        vertices = rig.pose(body.pose(rng, ease), ease * tone)
         if len(self_intersections(vertices, rig.faces)) == 0:
             return vertices
     raise ValueError(f"{name}: {_DRAWS} draws of its pose all pass through themselves; try another seed")
@@ -181,11 +187,10 @@ def _subdivisions(faces, mirror):
     levels = []
     for _ in range(2):
         n = len(mirror)
-        sides = np.sort(faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-        codes, index = np.unique(sides @ [n, 1], return_inverse=True)
-        edges = np.stack([codes // n, codes % n], axis=1)
+        codes, index = np.unique(edges_of_faces(faces) @ [n, 1], return_inverse=True)
+        edges = np.stack(np.divmod(codes, n), axis=1)
         a, b, c = faces.T
-        x, y, z = n + index.reshape(-1, 3).T  # midpoints opposite to a, b and c
+        z, x, y = n + index.reshape(-1, 3).T  # midpoints opposite to c, a and b
         faces = np.vstack([np.stack(t, axis=1) for t in ((a, z, y), (b, x, z), (c, y, x), (x, y, z))])
         mirror = np.r_[mirror, n + np.searchsorted(codes, np.sort(mirror[edges], axis=1) @ [n, 1])]
         levels.append((edges, faces, mirror))
@@ -205,7 +210,7 @@ def _remeshed(vertices, faces, levels, n_vertices, rng):
     for _ in range(_DRAWS):
         n = round(n_vertices * rng.uniform(0.8, 1.2))
         edge = np.sqrt(areas.sum() / n * 2 / np.sqrt(3))
-        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _LLOYD_STEPS, rng)
+        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _REMESHING_STEPS, rng)
         away = np.lexsort((np.linalg.norm(vertices - sites[labels], axis=1), labels))
         common = rng.permutation(away[np.unique(labels[away], return_index=True)[1]])  # in each cell the point nearest
         features = with_normals(vertices, normals, edge)
