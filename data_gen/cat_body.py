@@ -6,6 +6,7 @@ and it is mirror symmetric in the plane y = 0 by construction.
 """
 
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,17 +115,21 @@ def cone_distance(points: np.ndarray, cone: Cone) -> np.ndarray:
 
 
 def skin(points: np.ndarray) -> np.ndarray:
-    """The implicit function (...,) of points (..., 3): zero on the skin, negative inside.
+    """The implicit function (...,) of the cat at points (..., 3): zero on the skin, negative inside.
 
-    f(x) = -b log sum_c exp(-d_c(x) / b) with b = ``BLEND``, the smooth minimum of the distances d_c to all parts.
     Within the trunk and within the tail the plain minimum is taken: melted in a row, cones look like a string of beads.
     """
     trunk = {"pelvis", "loin", "chest"}
     parts = defaultdict(list)
     for k, cone in enumerate(cones()):
         parts["tail" if cone.bone.startswith("tail") else "trunk" if cone.bone in trunk else k].append(cone)
+    return melted(points, parts.values(), BLEND)
+
+
+def melted(points: np.ndarray, parts: Iterable[Iterable[Cone]], blend: float) -> np.ndarray:
+    """f(x) = -b log sum_p exp(-d_p(x) / b), the smooth minimum of the distances d_p of points (..., 3) to all parts."""
     total = np.zeros(points.shape[:-1])
-    for part in parts.values():
+    for part in parts:
         distance = np.min([cone_distance(points, cone) for cone in part], axis=0)
-        total += np.exp(-np.minimum(distance, 0.5) / BLEND)
-    return -BLEND * np.log(total)
+        total += np.exp(-np.minimum(distance, 0.5) / blend)
+    return -blend * np.log(total)

@@ -1,9 +1,11 @@
-"""From the implicit cat to an even triangulation with any number of vertices, mirror symmetric vertex by vertex.
+"""From an implicit body to an even triangulation with any number of vertices, mirror symmetric vertex by vertex.
 
 Half of the skin (y >= 0) is contoured finely, covered by a centroidal Voronoi tessellation whose sites either lie in
 the mirror plane or off it, and the dual triangles are mirrored and glued along the plane (approximated centroidal
 Voronoi diagrams: Valette and Chassery 2004).
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -11,51 +13,75 @@ from scipy.spatial import cKDTree
 
 from data_gen.cat_body import skin
 from fmsync.extras import require
+from fmsync.shape import edges_of_faces
+
+Skin = Callable[[np.ndarray], np.ndarray]  # (..., 3) -> (...,): zero on the surface, negative inside
 
 _LOW, _HIGH = np.array([-1.0, 0.0, -0.05]), np.array([0.58, 0.22, 0.78])
 _LLOYD_STEPS = 60
+_MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
+
+
+def check_resolution(n_vertices: int) -> None:
+    """Refuse numbers of vertices for which no mesh is made."""
+    if not _MIN_VERTICES <= n_vertices <= _MAX_VERTICES:
+        raise ValueError(f"n_vertices = {n_vertices}: ask for {_MIN_VERTICES} to {_MAX_VERTICES} vertices")
 
 
 def rest_mesh(n_vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangulate the cat at rest.
+    """Triangulate the cat at rest, see :func:`mirrored_mesh`."""
+    surface = half_skin(lambda grid: skin(grid.reshape(-1, 3)), _LOW, _HIGH, 0.008)
+    points, triangles = refined(surface, 7 * n_vertices)
+    points = _onto_skin(skin, points)
+    vertices, faces, mirror = mirrored_mesh(
+        skin, points, triangles, _gradient(skin, points), n_vertices, _LLOYD_STEPS, np.random.default_rng(0)
+    )
+    if not is_sphere(faces, n_vertices):
+        raise ValueError(f"n_vertices = {n_vertices} does not give a closed cat: ask for 1000 vertices or more")
+    return vertices, faces, mirror
+
+
+def mirrored_mesh(skin: Skin, points, triangles, normals, n_vertices: int, n_steps: int, rng):
+    """Triangulate a body, the half y >= 0 of whose skin is known by fine samples (P, 3) and triangles between them.
 
     Returns ``vertices`` (V, 3), ``faces`` (F, 3) and ``mirror`` (V,): the vertex opposite to each vertex. Vertices in
-    the mirror plane come first, then the left ones, then their mirror images in the same order. A number of vertices
-    that is too small for the ears and the tail is a ValueError.
+    the mirror plane come first, then the left ones, then their mirror images in the same order. With too few vertices
+    for its thin parts the mesh is no sphere (:func:`is_sphere`).
     """
-    points, triangles = _half_skin(n_vertices)
-    areas = _vertex_areas(points, triangles)  # (P,)
+    areas = vertex_areas(points, triangles)  # (P,)
     edge = np.sqrt(2 * areas.sum() / n_vertices * 2 / np.sqrt(3))  # of an equilateral triangle of the mean area
-    in_plane = points[:, 1] == 0
     n_plane = round(_boundary_length(points, triangles) / edge)
     n_plane += (n_vertices - n_plane) % 2
     n_left = (n_vertices - n_plane) // 2
 
-    labels, sites = _voronoi(points, areas, in_plane, n_plane, n_left, edge)
-    half = _dual_triangles(labels[triangles])[:, ::-1]  # contouring makes them face inwards
+    labels, sites = voronoi(points, areas, normals, points[:, 1] == 0, n_plane, n_left, edge, n_steps, rng)
+    half = dual_triangles(labels[triangles])[:, ::-1]  # contouring makes them face inwards
+    sites = _onto_skin(skin, sites)
 
     mirror = np.r_[np.arange(n_plane), n_plane + n_left + np.arange(n_left), n_plane + np.arange(n_left)]
     faces = np.vstack([half, mirror[half][:, ::-1]])
     vertices = np.vstack([sites, sites[n_plane:] * [1, -1, 1]])
-    _check_closed(faces, n_vertices)
     return vertices, faces, mirror
 
 
-def _half_skin(n_vertices):
-    """Contour y >= 0 and refine until every future vertex has a good dozen samples; the rim lies exactly in y = 0."""
-    pv = require("pyvista", "shapes")
-    step = 0.008
-    counts = np.ceil((_HIGH - _LOW) / step).astype(int) + 1
-    grid = pv.ImageData(dimensions=counts, spacing=(step,) * 3, origin=_LOW)
-    surface = grid.contour([0.0], scalars=skin(np.asarray(grid.points)), method="flying_edges")
-    while surface.n_points < 7 * n_vertices:
+def half_skin(skin: Skin, low: np.ndarray, high: np.ndarray, step: float):
+    """Contour y >= 0 in a box, from the values of ``skin`` on a grid (nz, ny, nx, 3) of points: a pyvista surface."""
+    counts = np.ceil((high - low) / step).astype(int) + 1
+    grid = require("pyvista", "shapes").ImageData(dimensions=counts, spacing=(step,) * 3, origin=low)
+    values = skin(np.asarray(grid.points).reshape(*counts[::-1], 3))
+    return grid.contour([0.0], scalars=values.ravel(), method="flying_edges")
+
+
+def refined(surface, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """At least ``n_samples`` points on a surface and triangles between them; the rim lies exactly in y = 0."""
+    while surface.n_points < n_samples:
         surface = surface.subdivide(1, "linear")
     points = np.array(surface.points, dtype=float)
     points[np.abs(points[:, 1]) < 1e-7, 1] = 0.0
-    return _onto_skin(points), surface.regular_faces.astype(np.int64)
+    return points, surface.regular_faces.astype(np.int64)
 
 
-def _gradient(points):
+def _gradient(skin, points):
     """Gradient of the implicit function by central differences (P, 3); in the mirror plane it has no y."""
     delta = 1e-5
     slopes = [(skin(points + delta * axis) - skin(points - delta * axis)) / (2 * delta) for axis in np.eye(3)]
@@ -64,47 +90,50 @@ def _gradient(points):
     return gradient
 
 
-def _onto_skin(points):
+def _onto_skin(skin, points):
     """Two Newton steps along the gradient; points in the mirror plane stay there."""
     for _ in range(2):
-        gradient = _gradient(points)
+        gradient = _gradient(skin, points)
         points = points - (skin(points) / (gradient**2).sum(-1))[:, None] * gradient
     return points
 
 
-def _vertex_areas(points, triangles):
+def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """A third of the triangles around each point (P,)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(points))
 
 
 def _boundary_length(points, triangles):
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    first, second = unique[count == 1].T
+    codes, count = np.unique(edges_of_faces(triangles) @ [len(points), 1], return_counts=True)
+    first, second = np.divmod(codes[count == 1], len(points))
     return np.linalg.norm(points[first] - points[second], axis=1).sum()
 
 
-def _voronoi(points, areas, in_plane, n_plane, n_left, edge):
+def voronoi(points, areas, normals, in_plane, n_plane, n_left, edge, n_steps, rng):
     """Lloyd's algorithm; sites [0, n_plane) stay in the mirror plane. Returns labels (P,) and sites (S, 3).
 
     Distances count the direction of the surface too, so that no cell reaches through an ear or a tail to the far side.
     """
-    rng = np.random.default_rng(0)
-    gradient = _gradient(points)
-    features = np.hstack([points, 0.5 * edge * gradient / np.linalg.norm(gradient, axis=1, keepdims=True)])  # (P, 6)
+    features = with_normals(points, normals, edge)
     plane, left = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
     drawn = rng.choice(left, n_left, replace=False, p=areas[left] / areas[left].sum())
-    sites = features[np.r_[_farthest(points, plane, n_plane), drawn]]
-    for _ in range(_LLOYD_STEPS):
+    sites = features[np.r_[_farthest(points, plane, n_plane) if n_plane else plane, drawn]]
+    for _ in range(n_steps):
         labels = cKDTree(sites).query(features)[1]
-        # samples in the mirror plane belong to sites in the plane: the rim of the half is then a chain of those sites
-        labels[plane] = cKDTree(sites[:n_plane]).query(features[plane])[1]
+        if n_plane:  # samples in the plane belong to sites in it: the rim of the half is then a chain of those sites
+            labels[plane] = cKDTree(sites[:n_plane]).query(features[plane])[1]
         weight = np.bincount(labels, areas, minlength=len(sites))
         sums = coo_array((areas, (labels, np.arange(len(points)))), shape=(len(sites), len(points))) @ features
         sites = sums / weight[:, None]
         sites[:n_plane, [1, 4]] = 0
-    return labels, _onto_skin(sites[:, :3])
+    return labels, sites[:, :3]
+
+
+def with_normals(points: np.ndarray, normals: np.ndarray, edge: float) -> np.ndarray:
+    """Points (P, 6) in space and in the direction of the surface there, the latter as much as half an edge length."""
+    return np.hstack([points, 0.5 * edge * normals / np.linalg.norm(normals, axis=1, keepdims=True)])
 
 
 def _farthest(points, candidates, count):
@@ -117,7 +146,7 @@ def _farthest(points, candidates, count):
     return np.array(chosen)
 
 
-def _dual_triangles(corners):
+def dual_triangles(corners):
     """One triangle for every place where three cells meet; a ragged border that is met to and fro cancels out."""
     distinct = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
     corners = corners[distinct]
@@ -130,12 +159,11 @@ def _dual_triangles(corners):
     return faces[turns != 0]
 
 
-def _check_closed(faces, n_vertices):
+def is_sphere(faces: np.ndarray, n_vertices: int) -> bool:
+    """Whether faces (F, 3) close up, facing one way, to a surface of genus zero that uses every vertex."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     codes = directed[:, 0] * n_vertices + directed[:, 1]
     opposite = directed[:, 1] * n_vertices + directed[:, 0]
     once = len(np.unique(codes)) == len(codes)
     paired = np.array_equal(np.sort(codes), np.sort(opposite))
-    sphere = n_vertices - len(codes) // 2 + len(faces) == 2 and len(np.unique(faces)) == n_vertices
-    if not (once and paired and sphere):
-        raise ValueError(f"n_vertices = {n_vertices} does not give a closed cat: ask for 1000 vertices or more")
+    return once and paired and n_vertices - len(codes) // 2 + len(faces) == 2 and len(np.unique(faces)) == n_vertices

@@ -6,13 +6,13 @@ hanging leg backwards; positive yaw turns the nose to the cat's left. A name wit
 as mirror images. Its muscle tone is one number a bone: how much thicker than at rest the flesh around it is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data_gen.cat_body import bones, cone_distance, cones
+from data_gen.cat_body import Bone, Cone, bones, cone_distance, cones
 
 Pose = Mapping[str, tuple[float, float, float]]
 
@@ -145,9 +145,9 @@ def muscle_tone(k: int) -> np.ndarray:
     return _TONE * np.array([signs.get(name, 0.0) for name in names])
 
 
-def joint_transforms(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone from rest into the pose."""
-    skeleton = bones()
+def joint_transforms(pose: Pose, skeleton: Sequence[Bone] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone, of the cat's by default, into the pose."""
+    skeleton = skeleton or bones()
     names = [bone.name for bone in skeleton]
     angles = _both_sides(pose, names)
     rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
@@ -189,14 +189,24 @@ class Rig:
 
     The skin is first carried by blended bone transforms, then relaxed by as-rigid-as-possible iterations (Sorkine and
     Alexa 2007) in which vertices that clearly belong to one bone are pulled towards their place: joints bend without
-    collapsing and edges keep their lengths.
+    collapsing and edges keep their lengths. Bones and flesh are those of the cat if no others are given.
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        skeleton: Sequence[Bone] | None = None,
+        flesh: Sequence[Cone] | None = None,
+    ):
         self.vertices, self.faces = vertices, faces
+        self._skeleton, flesh = skeleton or bones(), flesh or cones()
         stiffness, areas = _cotangents(vertices, faces)
-        self._normals = _vertex_normals(vertices, faces)
-        self.weights = _skinning_weights(vertices, stiffness, areas)  # (V, B)
+        self._normals = vertex_normals(vertices, faces)
+        names = [bone.name for bone in self._skeleton]
+        self.weights = _skinning_weights(vertices, stiffness, areas, names, flesh)  # (V, B)
+        # mean radius of the cones on each bone
+        self._radii = np.array([np.mean([cone.radius_start for cone in flesh if cone.bone == name]) for name in names])
         off = stiffness.tocoo()
         keep = off.row != off.col
         self._from, self._to = off.row[keep], off.col[keep]  # every edge in both directions
@@ -210,8 +220,8 @@ class Rig:
 
     def pose(self, pose: Pose, tone: np.ndarray) -> np.ndarray:
         """Vertices (V, 3) for joint angles and a muscle tone (B,)."""
-        rotations, translations = joint_transforms(pose)
-        rest = self.vertices + (self.weights @ (tone * _bone_radii()))[:, None] * self._normals
+        rotations, translations = joint_transforms(pose, self._skeleton)
+        rest = self.vertices + (self.weights @ (tone * self._radii))[:, None] * self._normals
         carried = np.einsum("bij,vj->vbi", rotations, rest) + translations
         skinned = np.einsum("vb,vbi->vi", self.weights, carried)
         posed = skinned
@@ -241,12 +251,8 @@ def _factorised(matrix):
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def _bone_radii():
-    """Mean radius (B,) of the cones on each bone."""
-    return np.array([np.mean([cone.radius_start for cone in cones() if cone.bone == bone.name]) for bone in bones()])
-
-
-def _vertex_normals(vertices, faces):
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3), means of those of the faces weighted by area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     normals = np.stack([np.bincount(faces.ravel(), of_face[:, k]) for k in range(3)], axis=1)
@@ -270,12 +276,10 @@ def _cotangents(vertices, faces):
     return (diags_array(weights.sum(axis=1)) - weights).tocsc(), areas
 
 
-def _skinning_weights(vertices, stiffness, areas):
+def _skinning_weights(vertices, stiffness, areas, names, flesh):
     """Each vertex starts with the bone of its nearest cone; two heat steps along the surface blend them (V, B)."""
-    names = [bone.name for bone in bones()]
-    skin_cones = cones()
-    nearest = np.argmin([cone_distance(vertices, cone) for cone in skin_cones], axis=0)
-    owner = np.array([names.index(cone.bone) for cone in skin_cones])[nearest]
+    nearest = np.argmin([cone_distance(vertices, cone) for cone in flesh], axis=0)
+    owner = np.array([names.index(cone.bone) for cone in flesh])[nearest]
     weights = np.eye(len(names))[owner]
     heat = _factorised(diags_array(areas) + _SMOOTHING**2 * stiffness)
     for _ in range(2):

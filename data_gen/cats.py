@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.cache import cached
-from data_gen.cat_mesh import rest_mesh
+from data_gen.cat_mesh import check_resolution, rest_mesh
 from data_gen.cat_pose import POSES, Pose, Rig, muscle_tone
 from data_gen.self_intersection import self_intersections
 from fmsync.checks import checked
@@ -18,7 +18,6 @@ _GROWTH = 0.04  # how much larger the right half is when the symmetry is broken
 _JITTER = 1.5  # degrees, of every joint of every cat
 _EASE = 0.96  # share of the joint angles that is kept from one try to the next
 _DRAWS = 30  # tries to find a pose that does not pass through itself
-_MIN_VERTICES, _MAX_VERTICES = 1000, 30_000
 
 
 @checked(seed=">= 0")
@@ -73,15 +72,17 @@ def _recipe() -> str:
 
 
 def _rest(n_vertices):
-    if not _MIN_VERTICES <= n_vertices <= _MAX_VERTICES:
-        raise ValueError(f"n_vertices = {n_vertices}: ask for {_MIN_VERTICES} to {_MAX_VERTICES} vertices")
+    check_resolution(n_vertices)
     names = ("vertices", "faces", "mirror")
     return cached(f"cat-at-rest-{n_vertices}-{_recipe()}", lambda: dict(zip(names, rest_mesh(n_vertices))))
 
 
 def _build(count, n_vertices, seed, symmetric):
     rest = _rest(n_vertices)
-    rig = Rig(rest["vertices"] if symmetric else _grow_right_half(rest["vertices"]), rest["faces"])
+    rig = Rig(
+        rest["vertices"] if symmetric else grow_right_half(rest["vertices"], _GROWTH, np.array([0, 0, 0.42])),
+        rest["faces"],
+    )
     posed = []
     for k in range(count):
         rng = np.random.default_rng([seed, k])
@@ -94,11 +95,10 @@ def _build(count, n_vertices, seed, symmetric):
     return {"vertices": np.stack(posed), "faces": rest["faces"]}
 
 
-def _grow_right_half(vertices):
+def grow_right_half(vertices: np.ndarray, growth: float, centre: np.ndarray) -> np.ndarray:
     """Scale y < 0 about the middle of the trunk, growing smoothly from the mirror plane on."""
     step = np.clip(-vertices[:, 1] / 0.06, 0, 1)
-    growth = _GROWTH * step**2 * (3 - 2 * step)
-    return vertices + growth[:, None] * (vertices - np.array([0, 0, 0.42]))
+    return vertices + (growth * step**2 * (3 - 2 * step))[:, None] * (vertices - centre)
 
 
 def _candidates(k: int, rng) -> Iterable[Pose]:

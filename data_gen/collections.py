@@ -1,4 +1,4 @@
-"""Collections of shapes: the synthetic cats, or any folder of meshes."""
+"""Collections of shapes: the synthetic cats, a random species, or any folder of meshes."""
 
 import os
 from collections.abc import Sequence
@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from data_gen.cats import cats
+from data_gen.creatures import creatures
 from fmsync import checks
 from fmsync.checks import checked
 from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 
-@checked(seed=">= 0")
+@checked(seed=">= 0", species=">= 0")
 def load_collection(
     source: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -22,17 +23,23 @@ def load_collection(
     n_vertices: int = 5000,
     seed: int = 0,
     symmetric: bool = False,
+    species: int = 0,
+    remeshed: bool = False,
 ) -> list[Shape]:
     """Shapes of a collection, in natural order of their names (``cat2`` before ``cat10``).
 
     Parameters
     ----------
     source
-        ``"cats"`` for the synthetic cats; a folder of meshes; the name of a folder inside the one that the environment
-        variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the
-        TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats otherwise.
+        ``"cats"`` for the synthetic cats, ``"creatures"`` for a random species; a folder of meshes; the name of a
+        folder inside the one that the environment variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list
+        of files, whose order is kept. Left out, the TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats
+        otherwise.
     count, n_vertices, seed, symmetric
-        Of the synthetic cats alone, see ``data_gen.cats.cats``.
+        Of the synthetic cats and creatures alone, see ``data_gen.cats.cats``.
+    species, remeshed
+        Of the creatures alone, see :func:`data_gen.creatures`: the seed that draws their body, and whether each has a
+        triangulation of its own. They know their true correspondences.
 
     Raises
     ------
@@ -46,10 +53,16 @@ def load_collection(
     """
     if source is None:
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
+    of_creatures = {"species": (species, 0), "remeshed": (remeshed, False)}
+    generated = {"count": count, "n_vertices": n_vertices, "seed": seed, "symmetric": symmetric}
+    if isinstance(source, str) and source == "creatures":
+        return [*creatures(species, remeshed=remeshed, **generated)]
     if isinstance(source, str) and source == "cats":
-        return cats(count=count, n_vertices=n_vertices, seed=seed, symmetric=symmetric)
-    given = {"count": (count, 11), "n_vertices": (n_vertices, 5000), "seed": (seed, 0), "symmetric": (symmetric, False)}
-    checks.unused("for files", **given)
+        checks.unused("for cats", **of_creatures)
+        return cats(**generated)
+    defaults = {"count": 11, "n_vertices": 5000, "seed": 0, "symmetric": False}
+    of_both = {name: (generated[name], default) for name, default in defaults.items()}
+    checks.unused("for files", **of_both, **of_creatures)
     return [read_shape(file) for file in collection_files(source)]
 
 
@@ -61,7 +74,7 @@ def collection_files(source: str | Path | Sequence[str | Path]) -> list[Path]:
     if folder is None:
         where = os.environ.get("FMSYNC_DATA")
         looked = f"nor a folder of that name in FMSYNC_DATA={where}" if where else "and FMSYNC_DATA is not set"
-        raise ValueError(f"{source}: neither 'cats' nor a folder, {looked}")
+        raise ValueError(f"{source}: neither 'cats' nor 'creatures' nor a folder, {looked}")
     return mesh_files([folder])
 
 

@@ -61,7 +61,7 @@ def test_without_a_name_the_tosca_cats_come_first(folder, monkeypatch):
 
 def test_unknown_empty_and_ambiguous_folders_are_refused(folder, monkeypatch):
     monkeypatch.delenv("FMSYNC_DATA", raising=False)
-    with pytest.raises(ValueError, match="dogs: neither 'cats' nor a folder, and FMSYNC_DATA is not set"):
+    with pytest.raises(ValueError, match="dogs: neither 'cats' nor 'creatures' nor a folder, and FMSYNC_DATA is not"):
         load_collection("dogs")
     (folder / "nothing").mkdir()
     with pytest.raises(ValueError, match="no meshes in it"):

@@ -1,0 +1,222 @@
+"""Random species: near-isometric poses of an articulated body that a seed draws, on one triangulation or on many."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_array, eye_array, vstack
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from data_gen.cache import cached
+from data_gen.cat_body import Bone
+from data_gen.cat_mesh import (
+    check_resolution,
+    dual_triangles,
+    half_skin,
+    is_sphere,
+    mirrored_mesh,
+    refined,
+    vertex_areas,
+    voronoi,
+    with_normals,
+)
+from data_gen.cat_pose import Rig, vertex_normals
+from data_gen.cats import grow_right_half
+from data_gen.creature_body import draw_body
+from data_gen.self_intersection import self_intersections
+from fmsync.checks import checked
+from fmsync.shape import Shape, edges_of_faces
+
+_STEP = 0.014  # of the grid on which a body is contoured
+_LLOYD_STEPS, _REMESHING_STEPS = 15, 8
+_EASE = 0.9  # share of the joint angles that is kept from one try to the next
+_DRAWS = 40  # tries to find a body, a mesh or a pose
+_ARRAYS = ("vertices", "faces", "common", "opposite", "located")
+_TONE = 0.1  # thickness of tense and slack flesh differs this much from rest
+
+
+@dataclass(frozen=True, eq=False)
+class Creature(Shape):
+    """A shape that knows where its vertices lie on the body that its whole species shares.
+
+    ``common`` (V,) is the point of the body, of K, at each vertex; ``opposite`` (V,) the point on the other side of it;
+    ``located`` (K,) the vertex nearest to each point of the body. The true map from ``a`` to ``b`` is
+    ``b.located[a.common]``, and that of left and right ``b.located[a.opposite]``.
+    """
+
+    common: np.ndarray = None
+    opposite: np.ndarray = None
+    located: np.ndarray = None
+
+
+@checked(species=">= 0", seed=">= 0")
+def creatures(
+    species: int,
+    count: int = 11,
+    n_vertices: int = 5000,
+    seed: int = 0,
+    symmetric: bool = False,
+    remeshed: bool = False,
+) -> list[Creature]:
+    """Poses of a random species, the same for the same arguments, bit by bit.
+
+    Parameters
+    ----------
+    species
+        Seed of the body plan: two to six limbs, girths, neck, head, tail, ears, horns, fins.
+    count, n_vertices
+        Number of poses and of the vertices of each, 1000 to 30000; vertex v of one corresponds to vertex v of another.
+    seed
+        Draws the poses. Pose k depends neither on ``count`` nor on ``remeshed``.
+    symmetric
+        Keep the left-right symmetry of the resting body exact; otherwise its right half is larger by 2 to 6 %, and in
+        every third species one limb of it by 15 to 35 %.
+    remeshed
+        Give every pose a triangulation of its own: 0.8 to 1.2 ``n_vertices`` vertices in random order.
+
+    Returns
+    -------
+    list[Creature]
+        Closed surfaces of genus zero, named ``creature0``, ``creature1``, ...; trunks are about half a unit long.
+
+    Examples
+    --------
+    >>> first, second = creatures(species=3, count=2, n_vertices=1000)
+    >>> first.name, first.vertices.shape, (first.faces == second.faces).all()
+    ('creature0', (1000, 3), np.True_)
+    """
+    check_resolution(n_vertices)
+    kind = f"{'symmetric' if symmetric else 'asymmetric'}{'-remeshed' * remeshed}"
+    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{_recipe()}"
+    made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed))
+    return [Creature(name=f"creature{k}", **{field: made[f"{field}{k}"] for field in _ARRAYS}) for k in range(count)]
+
+
+def _recipe() -> str:
+    """Changes whenever the code that makes creatures does, so that an old cache is not read by a new version."""
+    folder = Path(__file__).parent
+    sources = ("cat_body.py", "cat_mesh.py", "cat_pose.py", "creature_body.py", "creatures.py")
+    return hashlib.sha256(b"".join((folder / name).read_bytes() for name in sources)).hexdigest()[:12]
+
+
+def _build(species, count, n_vertices, seed, symmetric, remeshed):
+    body, vertices, faces, mirror = _at_rest(species, n_vertices)
+    resting = vertices, body.bones, body.cones()
+    if not symmetric:
+        resting = _lopsided(vertices, faces, body, np.random.default_rng([species, _DRAWS]))
+    rig = Rig(resting[0], faces, *resting[1:])
+    levels = _subdivisions(faces, mirror)
+    own, corners = np.arange(n_vertices), eye_array(n_vertices, format="csr")
+    for edges, _, _ in levels:
+        corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
+    located = corners.argmax(axis=1)
+    arrays = {}
+    for k in range(count):
+        rng = np.random.default_rng([seed, species, k])
+        fields = _posed(rig, body, rng, f"species {species}, creature{k}"), faces, own, mirror, located
+        if remeshed:
+            fields = _remeshed(*fields[:2], levels, n_vertices, rng)
+        arrays |= {f"{name}{k}": a for name, a in zip(_ARRAYS, fields)}
+    return arrays
+
+
+def _at_rest(species, n_vertices):
+    """Body, vertices, faces and mirror of the first plan whose left half is a disc: no holes between limbs."""
+    plans = (draw_body(np.random.default_rng([species, attempt])) for attempt in range(_DRAWS))
+    halves = ((body, half_skin(body.rough_skin, *body.box(), _STEP)) for body in plans)
+    body, half = next(((body, half) for body, half in halves if _is_disc(half)), (None, None))
+    if body is None:
+        raise ValueError(f"species = {species}: none of {_DRAWS} body plans is a sphere; try another seed")
+    for attempt in range(_DRAWS):
+        points, triangles = refined(half, (4 + 2 * attempt) * n_vertices)
+        normals = vertex_normals(points, triangles)
+        normals[points[:, 1] == 0, 1] = 0
+        rng = np.random.default_rng([species, attempt])
+        vertices, faces, mirror = mirrored_mesh(body.skin, points, triangles, normals, n_vertices, _LLOYD_STEPS, rng)
+        if is_sphere(faces, n_vertices) and len(self_intersections(vertices, faces)) == 0:
+            return body, vertices, faces, mirror
+    raise ValueError(f"species = {species}: no closed mesh of {n_vertices} vertices; ask for more")
+
+
+def _is_disc(surface):
+    n = surface.n_points
+    codes = np.unique(edges_of_faces(surface.regular_faces) @ [n, 1])
+    links = coo_array((np.ones(len(codes)), np.divmod(codes, n)), shape=(n, n))
+    return n - len(codes) + surface.n_cells == 1 and connected_components(links)[0] == 1
+
+
+def _lopsided(vertices, faces, body, rng):
+    """Vertices, bones and cones of a body whose right half is larger, growing smoothly from the mirror plane on."""
+    bones, cones = body.bones, body.cones()
+    growth = rng.uniform(0.02, 0.06)
+    if rng.random() < 1 / 3:
+        roots = [bone for bone in bones if bone.name.startswith("right ") and bone.parent.startswith("trunk")]
+        root, excess = roots[rng.integers(len(roots))], rng.uniform(0.15, 0.35)
+        joint, stem = np.array(root.joint), root.name.rstrip("0")
+        limb = np.array([bone.name.startswith(stem) for bone in bones])
+        share = Rig(vertices, faces, bones, cones).weights[:, limb].sum(axis=1, keepdims=True)
+        vertices = vertices + excess * share * (vertices - joint)
+
+        def grown(part, *ends):
+            if not (part.name if isinstance(part, Bone) else part.bone).startswith(stem):
+                return part
+            places = {end: np.array(getattr(part, end)) for end in ends}
+            return replace(part, **{end: tuple(at + excess * (at - joint)) for end, at in places.items()})
+
+        bones, cones = [grown(bone, "joint") for bone in bones], [grown(cone, "start", "end") for cone in cones]
+    return grow_right_half(vertices, growth, np.zeros(3)), bones, cones
+
+
+def _posed(rig, body, rng, name):
+    """The first draw that does not pass through itself, each bent a little less than the one before."""
+    stems = [bone.name.rstrip("0123456789") for bone in body.bones]
+    signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
+    tone = _TONE * np.array([signs[stem] for stem in stems])
+    for attempt in range(_DRAWS):
+        ease = _EASE**attempt
+        vertices = rig.pose(body.pose(rng, ease), ease * tone)
+        if len(self_intersections(vertices, rig.faces)) == 0:
+            return vertices
+    raise ValueError(f"{name}: {_DRAWS} draws of its pose all pass through themselves; try another seed")
+
+
+def _subdivisions(faces, mirror):
+    """Two levels of halved edges: for each its edges (E, 2), faces (4 F, 3) and mirror (V + E,)."""
+    levels = []
+    for _ in range(2):
+        n = len(mirror)
+        codes, index = np.unique(edges_of_faces(faces) @ [n, 1], return_inverse=True)
+        edges = np.stack(np.divmod(codes, n), axis=1)
+        a, b, c = faces.T
+        z, x, y = n + index.reshape(-1, 3).T  # midpoints opposite to c, a and b
+        faces = np.vstack([np.stack(t, axis=1) for t in ((a, z, y), (b, x, z), (c, y, x), (x, y, z))])
+        mirror = np.r_[mirror, n + np.searchsorted(codes, np.sort(mirror[edges], axis=1) @ [n, 1])]
+        levels.append((edges, faces, mirror))
+    return levels
+
+
+def _remeshed(vertices, faces, levels, n_vertices, rng):
+    """A posed body triangulated anew, with vertices among the points of its finer mesh: the fields of a creature."""
+    for edges, finer, _ in levels:
+        a, b = vertices[edges].swapaxes(0, 1)
+        normals = vertex_normals(vertices, faces)[edges]
+        lift = ((a - b)[:, None] * normals).sum(axis=2, keepdims=True) * normals
+        midpoints = (a + b) / 2 + (lift[:, 0] - lift[:, 1]) / 8  # of curved PN triangles
+        vertices, faces = np.vstack([vertices, midpoints]), finer
+    areas, normals = vertex_areas(vertices, faces), vertex_normals(vertices, faces)
+    none = np.zeros(len(vertices), dtype=bool)
+    for _ in range(_DRAWS):
+        n = round(n_vertices * rng.uniform(0.8, 1.2))
+        edge = np.sqrt(areas.sum() / n * 2 / np.sqrt(3))
+        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _REMESHING_STEPS, rng)
+        away = np.lexsort((np.linalg.norm(vertices - sites[labels], axis=1), labels))
+        common = rng.permutation(away[np.unique(labels[away], return_index=True)[1]])  # in each cell the point nearest
+        features = with_normals(vertices, normals, edge)
+        located = cKDTree(features[common]).query(features)[1]
+        own = vertices[common]
+        triangles = rng.permutation(dual_triangles(located[faces]))
+        if is_sphere(triangles, n) and len(self_intersections(own, triangles)) == 0:
+            return own, triangles, common, levels[-1][2][common], located
+    raise ValueError(f"no closed mesh of {n_vertices} vertices for a pose; ask for more")
