@@ -49,7 +49,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="of the regions, from ConformalCalibration.save (default: one fitted on synthetic cats)",
+        help="of the regions, from ConformalCalibration.save (default: one fitted on random species)",
     )
     parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
     parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")

@@ -9,8 +9,10 @@ The order serves for evaluation, never for maps. Each part is a command, and add
     errors on copies with triangulations and vertex counts of their own, without and with four landmarks
 ``... planted cats``
     coverage where the model is right
-``... refit cats uneven_cats --out fmsync/matching/conformal.json``
-    the calibration that the package ships
+``python -m bench.own_shapes species``
+    coverage over random species, of which nothing else is read
+``... refit --out fmsync/matching/conformal.json``
+    the calibration that the package ships, fitted on the species of the part before
 
 A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
 are in square roots of the area.
@@ -19,7 +21,7 @@ are in square roots of the area.
 import argparse
 from pathlib import Path
 
-from bench.own_shapes import confidence
+from bench.own_shapes import confidence, species
 from bench.own_shapes.evaluation import collection
 from bench.own_shapes.stages import remeshed
 from bench.studies import add_part
@@ -30,20 +32,25 @@ PARTS = {
     "landmarks": lambda loaded: remeshed(loaded, n_landmarks=4),
     "planted": confidence.planted,
 }
+_KEPT = Path("_build/species")  # points of finished species
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure one part and add it to the file of results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "refit"])
-    parser.add_argument("collections", nargs="+")
+    parser.add_argument("part", choices=[*PARTS, "species", "refit"])
+    parser.add_argument("collections", nargs="*")
     parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
     options = parser.parse_args(arguments)
-    loaded = {Path(name).name: collection(name) for name in options.collections}
+    command = " ".join(["python -m bench.own_shapes", options.part, *(Path(name).name for name in options.collections)])
+    if (options.part in PARTS) != bool(options.collections):
+        parser.error(f"collections: {options.part} reads {'at least one' if options.part in PARTS else 'none'}")
     if options.part == "refit":
-        confidence.refit(loaded).save(options.out)
+        species.fitted(species.all_points(species.FIT, _KEPT)).save(options.out)
+    elif options.part == "species":
+        add_part(options.out, "species", species.table(_KEPT), command)
     else:
-        command = " ".join(["python -m bench.own_shapes", options.part, *loaded])
+        loaded = {Path(name).name: collection(name) for name in options.collections}
         add_part(options.out, options.part, PARTS[options.part](loaded), command)
 
 

@@ -57,19 +57,11 @@ def collections(loaded: dict[str, list[Shape]], **options) -> dict:
     return found
 
 
-def refit(loaded: dict[str, list[Shape]], **options) -> ConformalCalibration:
-    """Calibration from all collections together."""
-    observed = [observe(shapes, **options) for shapes in loaded.values()]
-    known, errors = [k for o in observed for k in o.known], [e for o in observed for e in o.errors]
-    words = " and ".join(f"{len(x)} {n.replace('_', ' ')}" for n, x in loaded.items())
-    return fit_conformal(known, errors, words.replace("cats", "synthetic cats"))
-
-
-def observe(shapes: list[Shape], **options) -> Observed:
-    """Run the pipeline on shapes of one order, and see."""
+def observe(shapes: list[Shape], levels: tuple[float, ...] = LEVELS, **options) -> Observed:
+    """Run the pipeline on shapes of one order, or on creatures, and see; radii of the draws at these levels and 0.9."""
     synced, vertices = fmsync.synchronize_shapes(shapes, rng=0, **options), evaluation_vertices(shapes)
     evaluation, pairs = Evaluation(synced.shapes, vertices), some_pairs(len(shapes), 16)
-    at_samples = {q: [synced.confidence(i, j, q) for i, j in pairs] for q in LEVELS}
+    at_samples = {q: [synced.confidence(i, j, q) for i, j in pairs] for q in {*levels, 0.9}}
     radii = {q: [evaluation.at(i, k.radius) for (i, _), k in zip(pairs, known)] for q, known in at_samples.items()}
     known = []
     for (i, _), k in zip(pairs, at_samples[0.9]):

@@ -6,7 +6,7 @@ import numpy as np
 
 import fmsync
 from bench.problems import geodesics_from
-from data_gen import load_collection
+from data_gen import Creature, load_collection
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.samples import SampledShape
@@ -63,10 +63,16 @@ def uneven(shapes: list[Shape], amount: float = 0.0075) -> list[Shape]:
     return moved
 
 
+def species(number: int) -> list[Creature]:
+    """Four poses of a random species, each with a triangulation of its own."""
+    return load_collection("creatures", species=number, count=4, n_vertices=1500, remeshed=True)
+
+
 def evaluation_vertices(shapes: list[Shape], count: int = 80) -> np.ndarray:
-    """(N, P) vertices of shapes of one order at which errors are measured."""
-    chosen = np.random.default_rng(0).choice(shapes[0].n_vertices, min(count, shapes[0].n_vertices), replace=False)
-    return np.tile(chosen, (len(shapes), 1))
+    """(N, P) vertices at which errors are measured, of shapes of one order or of creatures."""
+    located = [s.located if isinstance(s, Creature) else np.arange(s.n_vertices) for s in shapes]
+    chosen = np.random.default_rng(0).choice(len(located[0]), min(count, len(located[0])), replace=False)
+    return np.array([own[chosen] for own in located])
 
 
 def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:

@@ -1,6 +1,7 @@
 """Regions that hold what they promise: learnt on shapes whose truth is known, used on others."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -74,13 +75,21 @@ class ConformalCalibration:
             raise ValueError(f"{path}: not a calibration ({error!r}); ConformalCalibration.save writes one") from error
 
 
-@checked(errors="S", levels=checks.probability)
+@checked(errors="S", levels=checks.probability, collections=">= 0")
 def fit_conformal(
-    known: list[Confidence], errors: list[np.ndarray], fitted_on: str = "own shapes", levels: tuple[float, ...] = LEVELS
+    known: list[Confidence],
+    errors: list[np.ndarray],
+    fitted_on: str = "own shapes",
+    levels: tuple[float, ...] = LEVELS,
+    collections: Sequence[int] | None = None,
 ) -> ConformalCalibration:
-    """Calibration from true errors (S,) of each of ``known``: evaluate it on another collection.
+    r"""Calibration from true errors (S,) of each of ``known``: evaluate it on another collection.
 
-    The scale of a level is the conformal quantile of error over uncertainty score (Lei et al. 2018).
+    The scale of a level is the conformal quantile of the ratio of error and uncertainty score (Lei et al. 2018): it
+    holds for further vertices of the shapes that it was fitted on. ``collections`` says from which of K collections
+    each of ``known`` is, and makes it hold for a vertex of a *new* one that is as good as drawn with them (Lee, Barber
+    and Willett 2023): every collection has the weight :math:`1/(K+1)`, its vertices share it, and the rest lies at
+    infinity. A level above :math:`K/(K+1)` is then a ValueError.
 
     Examples
     --------
@@ -91,16 +100,29 @@ def fit_conformal(
     >>> bool(abs(fitted.scale(0.9) / np.log(10) - 1) < 0.2)  # the 90 % quantile of an exponential distribution
     True
     """
-    score, truth = np.concatenate([k.uncertainty_score() for k in known]), np.concatenate(errors)
-    if len(score) != len(truth):
-        raise ValueError(f"errors: {len(truth)} for {len(score)} samples")
+    scores = [k.uncertainty_score() for k in known]
+    if len(scores) != len(errors) or any(len(s) != len(e) for s, e in zip(scores, errors)):
+        raise ValueError(f"errors: sizes {[len(e) for e in errors]} for {[len(s) for s in scores]} samples")
+    score, truth = np.concatenate(scores), np.concatenate(errors)
     ratios = truth / np.maximum(score, 1e-12)
-    shares = np.minimum(1.0, np.array(levels) * (1 + 1 / len(ratios)))
+    own = np.arange(len(ratios))
+    if collections is not None:
+        if len(collections) != len(known):
+            raise ValueError(f"collections: {len(collections)} for {len(known)} pairs; say where each is from")
+        own = np.unique(np.repeat(collections, [len(e) for e in errors]), return_inverse=True)[1]
+    sizes = np.bincount(own)
+    if max(levels) > len(sizes) / (len(sizes) + 1):
+        raise ValueError(
+            f"levels: {max(levels)} needs {max(levels) / (1 - max(levels)):.0f} collections or more, not {len(sizes)}"
+        )
+    order = np.argsort(ratios, kind="stable")
+    shares = np.cumsum(1 / ((len(sizes) + 1) * sizes[own[order]]))
+    scales = ratios[order[np.searchsorted(shares, np.array(levels) - 1e-12)]]
     mean = float(truth.mean() / max(score.mean(), 1e-12))
-    return ConformalCalibration(fitted_on, mean, tuple(levels), tuple(map(float, np.quantile(ratios, shares))))
+    return ConformalCalibration(fitted_on, mean, tuple(levels), tuple(map(float, scales)))
 
 
 @cache
 def default_calibration() -> ConformalCalibration:
-    """The one that comes with the package, fitted on synthetic cats; other animals may need their own."""
+    """The one that comes with the package, fitted on a hundred random species of ``data_gen.creatures``."""
     return ConformalCalibration.load(Path(__file__).with_name("conformal.json"))

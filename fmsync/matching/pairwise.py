@@ -58,15 +58,17 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
     few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)
 
-    def survivors(maps: np.ndarray, images: np.ndarray, count: int) -> np.ndarray:
+    def survivors(count: int, maps: np.ndarray, images: np.ndarray) -> np.ndarray:
         return maps[np.argsort(_costs(*map_scores(first, second, maps, images)), kind="stable")[:count]]
 
     with single_threaded_blas():
         starts = _turned_signs(first.basis, second.basis, min(_SIGNS, few))
-        maps = survivors(*zoomout(first, second, starts, few, 2, _SAMPLES[0]), _SURVIVORS[0])
-        starts = [maps, _fitted(first, second, rough)[None]]
-        upsampled = zip(*(zoomout(first, second, start, rough, 2, _SAMPLES[1]) for start in starts))
-        maps = survivors(*map(np.concatenate, upsampled), _SURVIVORS[1])
+        starts = survivors(_SURVIVORS[0], *zoomout(first, second, starts, few, 2, _SAMPLES[0]))
+        turned, fitted = (
+            zoomout(first, second, maps, rough, 2, _SAMPLES[1])
+            for maps in (starts, _fitted(first, second, rough)[None])
+        )
+        maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(turned, fitted)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
         distortion, orientation, missed = map_scores(first, second, maps, images)
     k = int(np.argmin(_costs(distortion, orientation, missed)))

@@ -1,0 +1,99 @@
+"""Regions on species never seen: scores and true errors over random species, and what a calibration on them promises.
+
+Species 1000, 1001, ... are for fitting and for choices that were made on the way, 0, 1, ... for testing alone.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pandas as pd
+
+from bench.own_shapes.confidence import LEVELS, observe
+from bench.own_shapes.evaluation import species
+from bench.own_shapes.stages import stages
+from fmsync.files import replacing
+from fmsync.matching import Confidence, ConformalCalibration, fit_conformal
+
+TEST, FIT = range(40), range(1000, 1100)
+_FOLDS = 10
+
+
+def points(number: int, folder: Path, **options) -> pd.DataFrame:
+    """Score and true error of some vertices of every pair of a species, kept in ``folder``."""
+    file = folder / f"{number}.parquet"
+    if not file.is_file():
+        seen = observe(species(number), levels=(), n_draws=40, **options)
+        rows = [
+            pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
+            for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
+        ]
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(file) as stream:
+            pd.concat(rows).assign(species=number).astype("float32").to_parquet(stream)
+    return pd.read_parquet(file)
+
+
+def all_points(numbers: Iterable[int], folder: Path, jobs: int = 2) -> pd.DataFrame:
+    """Those of many species."""
+    return pd.concat(joblib.Parallel(jobs)(joblib.delayed(points)(k, folder) for k in numbers), ignore_index=True)
+
+
+def fitted(rows: pd.DataFrame) -> ConformalCalibration:
+    """The calibration of these species, with the guarantee for a new one."""
+    groups = [(int(number), own) for (number, _), own in rows.groupby(["species", "pair"])]
+    known = [_scored(own["score"].to_numpy(dtype=float)) for _, own in groups]
+    errors = [own["error"].to_numpy(dtype=float) for _, own in groups]
+    numbers = [number for number, _ in groups]
+    return fit_conformal(known, errors, f"{len(set(numbers))} random species", collections=numbers)
+
+
+def _scored(score: np.ndarray) -> Confidence:
+    """A confidence with this uncertainty score."""
+    return Confidence(*np.zeros((6, len(score))), 0.9, score, np.ones(len(score)))
+
+
+def coverage(rows: pd.DataFrame, calibration: ConformalCalibration) -> pd.DataFrame:
+    """Share of true images inside the regions of every level, by species."""
+    inside = {str(q): rows["error"] <= calibration.scale(q) * rows["score"] for q in LEVELS}
+    return pd.DataFrame(inside).groupby(rows["species"]).mean()
+
+
+def left_out(rows: pd.DataFrame) -> pd.DataFrame:
+    """Coverage of every species by the calibration of the others, a tenth of them left out at a time."""
+    fold = rows["species"].astype(int) % _FOLDS
+    return pd.concat([coverage(rows[fold == k], fitted(rows[fold != k])) for k in range(_FOLDS)])
+
+
+def summary(shares: pd.DataFrame) -> dict:
+    """Mean coverage over species, its standard error, and the share of species with less than nine tenths of it."""
+    return {
+        q: {
+            "mean": float(share.mean()),
+            "se": float(share.std(ddof=1) / np.sqrt(len(share))),
+            "least": float(share.min()),
+            "species far below": float((share < 0.9 * float(q)).mean()),
+        }
+        for q, share in shares.items()
+    }
+
+
+def table(folder: Path, fit: Iterable[int] = FIT, test: Iterable[int] = TEST) -> dict:
+    """Coverage over species left out of the fit and over those that no choice was made on."""
+    rows, new = all_points(fit, folder), all_points(test, folder)
+    return {
+        "species": {"fit": rows["species"].nunique(), "test": new["species"].nunique()},
+        "left out": summary(left_out(rows)),
+        "test": summary(coverage(new, fitted(rows))),
+    }
+
+
+def errors(numbers: Iterable[int], jobs: int = 2) -> dict:
+    """Errors and CPU seconds of the stages and of pyFM, by species."""
+    return dict(zip(map(str, numbers), joblib.Parallel(jobs)(joblib.delayed(_stages)(k) for k in numbers)))
+
+
+def _stages(number: int) -> dict:
+    seen = observe(species(number), levels=(), n_draws=40)
+    return stages(seen.synced, seen.evaluation, peers=True)
