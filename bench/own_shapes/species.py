@@ -10,9 +10,10 @@ import joblib
 import numpy as np
 import pandas as pd
 
-from bench.own_shapes.confidence import LEVELS, observe
+from bench.own_shapes.confidence import LEVELS, Observed, observe
 from bench.own_shapes.evaluation import species
 from bench.own_shapes.stages import stages
+from fmsync import diagnostics
 from fmsync.files import replacing
 from fmsync.matching import Confidence, ConformalCalibration, fit_conformal
 
@@ -20,11 +21,11 @@ TEST, FIT = range(40), range(1000, 1100)
 _FOLDS = 10
 
 
-def points(number: int, folder: Path, **options) -> pd.DataFrame:
+def points(number: int, folder: Path) -> pd.DataFrame:
     """Score and true error of some vertices of every pair of a species, kept in ``folder``."""
     file = folder / f"{number}.parquet"
     if not file.is_file():
-        seen = observe(species(number), levels=(), n_draws=40, **options)
+        seen = _seen(number)
         rows = [
             pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
             for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
@@ -94,6 +95,11 @@ def errors(numbers: Iterable[int], jobs: int = 2) -> dict:
     return dict(zip(map(str, numbers), joblib.Parallel(jobs)(joblib.delayed(_stages)(k) for k in numbers)))
 
 
+def _seen(number: int) -> Observed:
+    with diagnostics.short_run():  # scores do not depend on draws
+        return observe(species(number), levels=(), n_draws=40)
+
+
 def _stages(number: int) -> dict:
-    seen = observe(species(number), levels=(), n_draws=40)
+    seen = _seen(number)
     return stages(seen.synced, seen.evaluation, peers=True)

@@ -10,7 +10,7 @@ import pytest
 import data_gen
 from bench import calibration_coverage, prior_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
-from bench.own_shapes import confidence, evaluation, stages
+from bench.own_shapes import confidence, evaluation, species, stages
 
 OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 120, "n_draws": 40}
 
@@ -123,6 +123,27 @@ def test_copies_have_vertices_of_their_own(cats):
     for shape, copy, old, new in zip(cats, copies, vertices, moved):
         apart = np.linalg.norm(shape.vertices[old] - copy.vertices[new], axis=1) / np.sqrt(shape.area)
         assert apart.max() < 0.1
+
+
+def test_points_of_a_species_are_kept_and_read_again(tmp_path, monkeypatch, observed):
+    monkeypatch.setattr(species, "species", lambda number: None)
+    monkeypatch.setattr(species, "observe", lambda shapes, **options: observed)
+    rows = species.points(7, tmp_path)
+    assert list(rows) == ["pair", "score", "error", "species"]
+    assert len(rows) == sum(map(len, observed.errors))
+    monkeypatch.setattr(species, "observe", None)
+    pd.testing.assert_frame_equal(species.points(7, tmp_path), rows)
+
+
+def test_species_left_out_are_covered_as_promised():
+    rng, count = np.random.default_rng(0), 200
+    number = np.repeat(np.arange(count), 60)
+    score = rng.random(len(number)) + 0.1
+    error = np.exp(rng.standard_normal(count))[number] * score * rng.exponential(size=len(number))
+    rows = pd.DataFrame({"species": number, "pair": np.arange(len(number)) // 20 % 3, "score": score, "error": error})
+    for q, found in species.summary(species.left_out(rows)).items():
+        assert abs(found["mean"] - float(q)) < 5 * found["se"]
+        assert found["least"] < float(q)
 
 
 def test_every_part_of_the_command_writes_its_results(tmp_path, monkeypatch, cats):

@@ -47,7 +47,7 @@ def test_thin_draws_are_said_in_plain_words_everywhere(written):
         assert "the regions are rough; ask for more draws" in said
     assert "warnings.warn" not in written.said
     assert "%|" not in written.said  # bars are for terminals
-    assert "synthetic cats" in page  # what the regions were learnt from
+    assert "random species" in page  # what the regions were learnt from
 
 
 def test_the_report_reaches_every_pair_and_asks_for_nothing(written):
