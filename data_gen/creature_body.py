@@ -134,7 +134,9 @@ def _trunk(body, rng, rise, length):
         up, high = towards(rise + 90), rng.uniform(0.9, 1.35) * girth
         ridge = points[1:3] + up * high * 0.75
         wide = rng.choice([0.5, 0.9])
-        body.flesh(["trunk1"], ridge, np.maximum([0.55 * girth] * 2, _THIN / wide), (1.0, wide, 1.0))
+        body.bones.append(Bone("ridge0", "trunk1", tuple(points[1])))
+        body.turns["ridge0"] = np.zeros((2, 3))
+        body.flesh(["ridge0"], ridge, np.maximum([0.55 * girth] * 2, _THIN / wide), (1.0, wide, 1.0))
     return points, radii * flat[1], rise
 
 
