@@ -35,7 +35,7 @@ _LLOYD_STEPS, _REMESHING_STEPS = 15, 8
 _EASE = 0.9  # share of the joint angles that is kept from one try to the next
 _DRAWS = 40  # tries to find a body, a mesh or a pose
 _ARRAYS = ("vertices", "faces", "common", "opposite", "located")
-_TONE = 0.1  # thickness of tense and slack flesh differs this much from rest
+_TONE = 0.12  # thickness of tense and slack flesh differs this much from rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
     corners = corners.tocoo()
     order = np.lexsort((-corners.data, corners.row))
-    located = corners.col[order][np.unique(corners.row[order], return_index=True)[1]]
+    located = corners.col.astype(np.int64)[order][np.unique(corners.row[order], return_index=True)[1]]
     arrays = {}
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
