@@ -31,7 +31,7 @@ from fmsync.shape import Shape, edges_of_faces
 
 _STEP = 0.014  # of the grid on which a body is contoured
 _CLEARANCE = 0.012  # thickening by which no limbs grow together
-_LLOYD_STEPS, _REMESHING_STEPS = 15, 8
+_LLOYD_STEPS = 10
 _EASE = 0.9  # share of the joint angles that is kept from one try to the next
 _DRAWS = 40  # tries to find a body, a mesh or a pose
 _ARRAYS = ("vertices", "faces", "common", "opposite", "located")
@@ -225,7 +225,7 @@ def _remeshed(vertices, faces, levels, n_vertices, rng):
     for _ in range(_DRAWS):
         n = round(n_vertices * rng.uniform(0.8, 1.2))
         edge = np.sqrt(areas.sum() / n * 2 / np.sqrt(3))
-        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _REMESHING_STEPS, rng)
+        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _LLOYD_STEPS, rng)
         away = np.lexsort((np.linalg.norm(vertices - sites[labels], axis=1), labels))
         common = rng.permutation(away[np.unique(labels[away], return_index=True)[1]])  # in each cell the point nearest
         features = with_normals(vertices, normals, edge)
