@@ -64,12 +64,12 @@ def mirrored_mesh(skin: Skin, points, triangles, normals, n_vertices: int, n_ste
     return vertices, faces, mirror
 
 
-def half_skin(skin: Skin, low: np.ndarray, high: np.ndarray, step: float):
+def half_skin(skin: Skin, low: np.ndarray, high: np.ndarray, step: float, level: float = 0.0):
     """Contour y >= 0 in a box, from the values of ``skin`` on a grid (nz, ny, nx, 3) of points: a pyvista surface."""
     counts = np.ceil((high - low) / step).astype(int) + 1
     grid = require("pyvista", "shapes").ImageData(dimensions=counts, spacing=(step,) * 3, origin=low)
     values = skin(np.asarray(grid.points).reshape(*counts[::-1], 3))
-    return grid.contour([0.0], scalars=values.ravel(), method="flying_edges")
+    return grid.contour([level], scalars=values.ravel(), method="flying_edges")
 
 
 def refined(surface, n_samples: int) -> tuple[np.ndarray, np.ndarray]:

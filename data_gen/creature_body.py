@@ -127,14 +127,16 @@ def _trunk(body, rng, rise, length):
     girth = length * rng.uniform(0.18, 0.33)
     radii = girth * rng.uniform([0.8, 0.8, 0.9, 0.8], [1.0, 1.15, 1.2, 1.0])
     directions = [towards(rise + arch), towards(rise), towards(rise - arch)]
-    turns = [[0, 0, 0, 0], [7, 11, 10, 0], [7, 11, 10, 0]]
+    turns = [[0, 0, 0, 0], [8, 14, 13, 0], [8, 14, 13, 0]]
     flat = (1.0, rng.uniform(0.82, 1.12), 1.0)
     points = body.chain("trunk", None, np.zeros(3), directions, [length / 3] * 3, radii, turns, flat)
     if rng.random() < 0.22:  # a hump, or a sail along the back
         up, high = towards(rise + 90), rng.uniform(0.9, 1.35) * girth
         ridge = points[1:3] + up * high * 0.75
         wide = rng.choice([0.5, 0.9])
-        body.flesh(["trunk1"], ridge, np.maximum([0.55 * girth] * 2, _THIN / wide), (1.0, wide, 1.0))
+        body.bones.append(Bone("ridge0", "trunk1", tuple(points[1])))
+        body.turns["ridge0"] = np.zeros((2, 3))
+        body.flesh(["ridge0"], ridge, np.maximum([0.55 * girth] * 2, _THIN / wide), (1.0, wide, 1.0))
     return points, radii * flat[1], rise
 
 
@@ -183,7 +185,7 @@ def _fin(body, rng, name, parent, at, girth, size):
     back, out, size = rng.uniform(165, 195), rng.uniform(50, 80), size * rng.uniform(0.28, 0.5)
     start = at + np.array([0, 0.6 * girth, -0.3 * girth])
     radii = np.array([0.07, 0.1, 0.05]) * rng.uniform(0.8, 1.1)
-    turns = [[22, 12, 22, 0], [14, 8, 14, 0]]
+    turns = [[34, 18, 34, 0], [24, 14, 24, 0]]
     directions = [towards(back, out), towards(back, out - 15)]
     body.chain(name, parent, start, directions, [0.55 * size, 0.45 * size], radii, turns, (1.2, 1.0, 0.5))
 

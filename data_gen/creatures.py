@@ -30,11 +30,12 @@ from fmsync.checks import checked
 from fmsync.shape import Shape, edges_of_faces
 
 _STEP = 0.014  # of the grid on which a body is contoured
-_LLOYD_STEPS, _REMESHING_STEPS = 15, 8
+_CLEARANCE = 0.012  # thickening by which no limbs grow together
+_LLOYD_STEPS = 10
 _EASE = 0.9  # share of the joint angles that is kept from one try to the next
 _DRAWS = 40  # tries to find a body, a mesh or a pose
 _ARRAYS = ("vertices", "faces", "common", "opposite", "located")
-_TONE = 0.1  # thickness of tense and slack flesh differs this much from rest
+_TONE = 0.12  # thickness of tense and slack flesh differs this much from rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +109,13 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
         resting = _lopsided(vertices, faces, body, np.random.default_rng([species, _DRAWS]))
     rig = Rig(resting[0], faces, *resting[1:])
     levels = _subdivisions(faces, mirror)
-    own, corners = np.arange(n_vertices), eye_array(n_vertices, format="csr")
+    own = np.arange(n_vertices)
+    corners = eye_array(n_vertices, format="csr")
     for edges, _, _ in levels:
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
-    located = corners.argmax(axis=1)
+    corners = corners.tocoo()
+    order = np.lexsort((-corners.data, corners.row))
+    located = corners.col.astype(np.int64)[order][np.unique(corners.row[order], return_index=True)[1]]
     arrays = {}
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
@@ -123,28 +127,39 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
 
 
 def _at_rest(species, n_vertices):
-    """Body, vertices, faces and mirror of the first plan whose left half is a disc: no holes between limbs."""
-    plans = (draw_body(np.random.default_rng([species, attempt])) for attempt in range(_DRAWS))
-    halves = ((body, half_skin(body.rough_skin, *body.box(), _STEP)) for body in plans)
-    body, half = next(((body, half) for body, half in halves if _is_disc(half)), (None, None))
-    if body is None:
+    """Body, vertices, faces and mirror of the first plan whose limbs keep clear of each other."""
+    for attempt in range(_DRAWS):
+        body = draw_body(np.random.default_rng([species, attempt]))
+        if _is_disc(half_skin(body.rough_skin, *body.box(), 2 * _STEP, _CLEARANCE)):
+            half = half_skin(body.rough_skin, *body.box(), _STEP)
+            if _is_disc(half):
+                break
+    else:
         raise ValueError(f"species = {species}: none of {_DRAWS} body plans is a sphere; try another seed")
     for attempt in range(_DRAWS):
-        points, triangles = refined(half, (4 + 2 * attempt) * n_vertices)
+        points, triangles = refined(half, 4 * (1 + attempt // 4) * n_vertices)
         normals = vertex_normals(points, triangles)
         normals[points[:, 1] == 0, 1] = 0
         rng = np.random.default_rng([species, attempt])
         vertices, faces, mirror = mirrored_mesh(body.skin, points, triangles, normals, n_vertices, _LLOYD_STEPS, rng)
-        if is_sphere(faces, n_vertices) and len(self_intersections(vertices, faces)) == 0:
+        if is_sphere(faces, n_vertices) and not _has_folds(vertices, faces):
             return body, vertices, faces, mirror
     raise ValueError(f"species = {species}: no closed mesh of {n_vertices} vertices; ask for more")
 
 
 def _is_disc(surface):
+    """Whether the left half of a body is one piece without holes between its limbs."""
     n = surface.n_points
     codes = np.unique(edges_of_faces(surface.regular_faces) @ [n, 1])
     links = coo_array((np.ones(len(codes)), np.divmod(codes, n)), shape=(n, n))
     return n - len(codes) + surface.n_cells == 1 and connected_components(links)[0] == 1
+
+
+def _has_folds(vertices, faces):
+    """Whether a face looks away from the normal at a corner: a little motion makes it cut its neighbours."""
+    a, b, c = vertices[faces].swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    return bool((vertex_normals(vertices, faces)[faces] @ normals[:, :, None] < 0).any())
 
 
 def _lopsided(vertices, faces, body, rng):
@@ -173,7 +188,7 @@ def _posed(rig, body, rng, name):
     """The first draw that does not pass through itself, each bent a little less than the one before."""
     stems = [bone.name.rstrip("0123456789") for bone in body.bones]
     signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
-    tone = _TONE * np.array([signs[stem] for stem in stems])
+    tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
     for attempt in range(_DRAWS):
         ease = _EASE**attempt
         vertices = rig.pose(body.pose(rng, ease), ease * tone)
@@ -210,7 +225,7 @@ def _remeshed(vertices, faces, levels, n_vertices, rng):
     for _ in range(_DRAWS):
         n = round(n_vertices * rng.uniform(0.8, 1.2))
         edge = np.sqrt(areas.sum() / n * 2 / np.sqrt(3))
-        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _REMESHING_STEPS, rng)
+        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _LLOYD_STEPS, rng)
         away = np.lexsort((np.linalg.norm(vertices - sites[labels], axis=1), labels))
         common = rng.permutation(away[np.unique(labels[away], return_index=True)[1]])  # in each cell the point nearest
         features = with_normals(vertices, normals, edge)
