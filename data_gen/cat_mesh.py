@@ -133,7 +133,8 @@ def voronoi(points, areas, normals, in_plane, n_plane, n_left, edge, n_steps, rn
 
 def with_normals(points: np.ndarray, normals: np.ndarray, edge: float) -> np.ndarray:
     """Points (P, 6) in space and in the direction of the surface there, the latter as much as half an edge length."""
-    return np.hstack([points, 0.5 * edge * normals / np.linalg.norm(normals, axis=1, keepdims=True)])
+    lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return np.hstack([points, 0.5 * edge * normals / lengths])
 
 
 def _farthest(points, candidates, count):

@@ -256,7 +256,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     normals = np.stack([np.bincount(faces.ravel(), of_face[:, k]) for k in range(3)], axis=1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)  # 0 amid faces without area
 
 
 def _cotangents(vertices, faces):

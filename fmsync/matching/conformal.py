@@ -102,19 +102,17 @@ def fit_conformal(
     """
     scores = [k.uncertainty_score() for k in known]
     if len(scores) != len(errors) or any(len(s) != len(e) for s, e in zip(scores, errors)):
-        raise ValueError(f"errors: sizes {[len(e) for e in errors]} for {[len(s) for s in scores]} samples")
+        raise ValueError(f"errors: sizes {[*map(len, errors)]} for {[*map(len, scores)]} samples")
     score, truth = np.concatenate(scores), np.concatenate(errors)
     ratios = truth / np.maximum(score, 1e-12)
-    own = np.arange(len(ratios))
+    what, own = "samples", np.arange(len(ratios))
     if collections is not None:
         if len(collections) != len(known):
             raise ValueError(f"collections: {len(collections)} for {len(known)} pairs; say where each is from")
-        own = np.unique(np.repeat(collections, [len(e) for e in errors]), return_inverse=True)[1]
+        what, own = "collections", np.unique(np.repeat(collections, [*map(len, errors)]), return_inverse=True)[1]
     sizes = np.bincount(own)
-    if max(levels) > len(sizes) / (len(sizes) + 1):
-        raise ValueError(
-            f"levels: {max(levels)} needs {max(levels) / (1 - max(levels)):.0f} collections or more, not {len(sizes)}"
-        )
+    if (highest := max(levels)) > len(sizes) / (len(sizes) + 1):
+        raise ValueError(f"levels: {highest} needs {highest / (1 - highest):.0f} {what} or more, not {len(sizes)}")
     order = np.argsort(ratios, kind="stable")
     shares = np.cumsum(1 / ((len(sizes) + 1) * sizes[own[order]]))
     scales = ratios[order[np.searchsorted(shares, np.array(levels) - 1e-12)]]

@@ -137,3 +137,8 @@ def test_true_maps_between_creatures_serve_as_ground_truth(remeshed):
 def test_bad_requests_are_refused(arguments, reason):
     with pytest.raises(ValueError, match=reason):
         data_gen.load_collection(**{"source": "creatures", **arguments})
+
+
+def test_a_skin_with_faces_without_area_is_meshed():
+    shape = creatures(1094, count=1, n_vertices=1500)[0]
+    assert np.isfinite(shape.vertices).all() and shape.n_vertices == 1500

@@ -21,7 +21,7 @@ def test_regions_hold_for_a_vertex_of_a_new_collection():
     for _ in range(150):
         known, errors = drawn(rng, count)
         fitted = fit_conformal(known, errors, "drawn", levels, np.repeat(np.arange(count), 2).tolist())
-        new, missed = drawn(rng, 20)
+        new, missed = drawn(rng, 8)
         held.append(
             [np.mean(np.concatenate(missed) <= np.concatenate([fitted.radius(k, q) for k in new])) for q in levels]
         )
@@ -33,10 +33,10 @@ def test_regions_hold_for_a_vertex_of_a_new_collection():
 
 def test_one_fit_for_all_vertices_promises_too_much_to_a_new_collection():
     rng, held = np.random.default_rng(1), []
-    for _ in range(500):
+    for _ in range(400):
         known, errors = drawn(rng, 3)
         fitted = fit_conformal(known, errors, "drawn", (0.9,))
-        new, missed = drawn(rng, 20)
+        new, missed = drawn(rng, 8)
         held.append(np.mean(np.concatenate(missed) <= np.concatenate([fitted.radius(k, 0.9) for k in new])))
     assert np.mean(held) + 4 * np.std(held) / np.sqrt(len(held)) < 0.9
 
