@@ -248,7 +248,7 @@ class Valid:
                 "method": "rlfm", "n_chains": 2, "n_draws": 4, "warmup": 2, "kappa": 2.0, "callback": lambda *_: None,
             },
             "fmsync.matching.conformal.fit_conformal": {
-                "known": [known], "errors": [score], "levels": (0.5, 0.9),
+                "known": [known] * 2, "errors": [score] * 2, "levels": (0.25, 0.5), "collections": [0, 1],
             },
             "fmsync.matching.conformal.ConformalCalibration.save": {"path": folder / "again.json"},
             "fmsync.matching.conformal.ConformalCalibration.load": {"path": folder / "calibration.json"},
