@@ -303,7 +303,7 @@ _THIN_OUT = """() => {
       number(`text in ${kind}`);
     }
     for (const child of [...e.children]) thin(child, kind);
-    if (!e.textContent.trim() && !e.querySelector("img, button, input")) e.remove();
+    if (e !== document.body && !e.textContent.trim() && !e.querySelector("img, button, input")) e.remove();
   })(document.body, sheets.map((e) => e.href ?? e.textContent).join());
   window.passed = JSON.stringify([...numbers]);
 }"""
