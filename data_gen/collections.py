@@ -38,8 +38,8 @@ def load_collection(
     count, n_vertices, seed, symmetric
         Of the synthetic cats and creatures alone, see ``data_gen.cats.cats``.
     species, remeshed
-        Of the creatures alone, see ``data_gen.creatures.creatures``: the seed that draws their body, and whether each has a
-        triangulation of its own. They know their true correspondences.
+        Of the creatures alone, see ``data_gen.creatures.creatures``: the seed that draws their body, and whether each
+        has a triangulation of its own. They know their true correspondences.
 
     Raises
     ------
