@@ -98,8 +98,8 @@ def creatures(
 def _recipe() -> str:
     """Changes whenever the code that makes creatures does, so that an old cache is not read by a new version."""
     folder = Path(__file__).parent
-    sources = ("cat_body.py", "cat_mesh.py", "cat_pose.py", "creature_body.py", "creatures.py")
-    return hashlib.sha256(b"".join((folder / name).read_bytes() for name in sources)).hexdigest()[:12]
+    sources = ("cat_body", "cat_mesh", "cat_pose", "cats", "creature_body", "creatures", "self_intersection")
+    return hashlib.sha256(b"".join((folder / f"{name}.py").read_bytes() for name in sources)).hexdigest()[:12]
 
 
 def _build(species, count, n_vertices, seed, symmetric, remeshed):

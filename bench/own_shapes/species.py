@@ -12,7 +12,6 @@ import pandas as pd
 
 from bench.own_shapes.confidence import LEVELS, Observed, observe
 from bench.own_shapes.evaluation import species
-from bench.own_shapes.stages import stages
 from fmsync import diagnostics
 from fmsync.files import replacing
 from fmsync.matching import Confidence, ConformalCalibration, fit_conformal
@@ -90,16 +89,6 @@ def table(folder: Path, fit: Iterable[int] = FIT, test: Iterable[int] = TEST) ->
     }
 
 
-def errors(numbers: Iterable[int], jobs: int = 2) -> dict:
-    """Errors and CPU seconds of the stages and of pyFM, by species."""
-    return dict(zip(map(str, numbers), joblib.Parallel(jobs)(joblib.delayed(_stages)(k) for k in numbers)))
-
-
 def _seen(number: int) -> Observed:
     with diagnostics.short_run():  # scores do not depend on draws
         return observe(species(number), levels=(), n_draws=40)
-
-
-def _stages(number: int) -> dict:
-    seen = _seen(number)
-    return stages(seen.synced, seen.evaluation, peers=True)
