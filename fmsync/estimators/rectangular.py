@@ -35,6 +35,7 @@ _DENSE_UP_TO = 1000  # matrix size
 _RESTARTS = 8  # each finds one of two mirrored answers as often as the other
 _ZERO = 1e-6  # sine of an angle between spans
 _SAME = 1e-2  # Frobenius distance between maps that count as equal
+_NUDGE = 1e-3  # of a column: on a path the spectral start can lie where symmetry holds a descent at a saddle
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -292,9 +293,10 @@ def _starting_frames(problem: RectangularSyncProblem, m: int, init: str, rng: np
     rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
     start = np.zeros((problem.n_nodes, m, int(problem.sizes.max())))
     for node, size in enumerate(problem.sizes):
-        block = rng.standard_normal((m, size)) if rows is None else rows[node].T
-        u, _, vt = np.linalg.svd(block, full_matrices=False)
-        start[node, :, :size] = u @ vt
+        block = rng.standard_normal((m, size))
+        if rows is not None:
+            block = _orthonormal(rows[node].T) + _NUDGE * block
+        start[node, :, :size] = _orthonormal(block)
     return start
 
 
@@ -318,6 +320,12 @@ def _eigenvector_rows(problem: RectangularSyncProblem, m: int, rng: np.random.Ge
         values, vectors = eigsh(matrix, k=m, which="LA", v0=rng.standard_normal(size))
     stack = vectors * np.sqrt(np.maximum(values, 0)) / scale[:, None]
     return [stack[a:b] for a, b in itertools.pairwise(offset)]
+
+
+def _orthonormal(block: np.ndarray) -> np.ndarray:
+    """The nearest matrix with orthonormal columns."""
+    u, _, vt = np.linalg.svd(block, full_matrices=False)
+    return u @ vt
 
 
 def _basis(frame: np.ndarray) -> np.ndarray:

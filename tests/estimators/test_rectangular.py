@@ -100,6 +100,14 @@ def test_missing_edges_and_noise():
     assert energy(problem, estimate.absolute) < energy(problem, frames)
 
 
+@pytest.mark.parametrize(
+    ("seed", "sizes", "m"), [(15, (4, 4, 5, 2, 3, 2), 5), (51, (5, 5, 3, 3), 5), (54, (2, 3, 4, 4), 4)]
+)
+def test_no_saddle_at_the_start_holds_a_path(seed, sizes, m):
+    problem, _ = planted(sizes, m, seed=seed, graph=nx.path_graph(len(sizes)))
+    assert fmsync.solve_rectangular(problem, m).cost < 1e-8
+
+
 def test_equal_sizes_are_the_problem_on_orthogonal_matrices():
     square = data_gen.perturb(data_gen.planted(7, 4, rng=0), 0.1, rng=1)
     problem = fmsync.RectangularSyncProblem(7, square.edges, list(square.maps))
