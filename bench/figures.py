@@ -10,35 +10,41 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 _WIDTH = 5.2  # inches: one column, whose type can be read on a phone
-_STYLES = {1.0: "-", 0.833: "--", 0.667: ":"}
 _MARKERS = "osD^v<>pPXd"
 
 
-def errors(table: pd.DataFrame) -> Figure:
-    """Error against noise, a panel for each row of :func:`bench.report.table1`, the paper's numbers as crosses.
+def table1(tables: dict[str, pd.DataFrame], density: float = 1.0) -> Figure:
+    """Error of every row and noise level at one density: a colour for each variant, a cross for the printed number.
 
-    Densities as in the paper: solid 1, dashed .833, dotted .667. The small-error bound of density 1 is dotted where
-    the error is too large for it to hold.
+    ``tables`` are those of :func:`bench.report.table1`, by the name of the protocol variant. Bars are bootstrap
+    intervals. The grey band ends at the smallest small-error bound of the variants, where one of them is valid;
+    triangles at the upper edge stand for errors beyond it.
     """
-    labels = [label for label in table.label.cat.categories if label != "observed"]
-    rows = -(-len(labels) // 2)
-    figure = Figure(figsize=(_WIDTH, 1.9 * rows + 1.0), layout="constrained")
-    axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
-    if len(labels) % 2:
-        axes.flat[-1].set_visible(False)
+    own = {name: table[table.density == density] for name, table in tables.items()}
+    first = next(iter(own.values()))
+    printed = set(first.label[first.paper.notna()]) | {"observed"}
+    labels = [label for label in first.label.cat.categories if label in printed]
+    noise, top = sorted(first.sigma2.unique()), 7.0
+    figure = Figure(figsize=(_WIDTH, 1.9 * -(-len(labels) // 2) + 1.2), layout="constrained")
+    axes = figure.subplots(-(-len(labels) // 2), 2, sharex=True, sharey=True, squeeze=False)
     for axis, label in zip(axes.flat, labels):
-        for density, part in table[table.label == label].groupby("density", observed=True):
-            line, *_ = axis.plot(part.sigma2, part["mean"], _STYLES.get(density, "-"), label=f"density {density:g}")
-            axis.fill_between(part.sigma2, part.low, part.high, color=line.get_color(), alpha=0.2, lw=0)
-            axis.plot(part.sigma2, part.paper, "x", color=line.get_color())
-        complete = table[(table.label == label) & (table.density == 1)]
-        axis.plot(complete.sigma2, complete.floor, "k:", lw=1.2, label="small-error bound, not valid")
-        valid = complete[complete.bound_valid]
-        axis.plot(valid.sigma2, valid.floor, "k.-", lw=1.2, label="small-error bound" if len(valid) else None)
+        for k, (name, table) in enumerate(own.items()):
+            part = table[table.label == label].set_index("sigma2").reindex(noise)
+            at = np.arange(len(noise)) + 0.14 * (k - (len(own) - 1) / 2)
+            out = part["mean"] > top
+            around = np.array([part["mean"] - part.low, part.high - part["mean"]])[:, ~out]
+            axis.errorbar(at[~out], part["mean"][~out], around, fmt="o", ms=3.5, color=f"C{k}", label=name)
+            axis.plot(at[out], np.full(out.sum(), top - 0.2), "^", ms=4, color=f"C{k}")
+        paper = first[first.label == label].set_index("sigma2").paper.reindex(noise).astype(float)
+        axis.plot(range(len(noise)), paper, "kx", label="the paper")
+        for x, sigma2 in enumerate(noise):
+            bounds = pd.concat([t[(t.sigma2 == sigma2) & t.bound_valid].floor for t in own.values()])
+            if len(bounds):
+                axis.fill_between([x - 0.45, x + 0.45], 0, bounds.min(), color="0.6", alpha=0.4, lw=0)
         axis.set_title(str(label), fontsize=11)
-        axis.set(ylim=(0, 7), xticks=sorted(table.sigma2.unique())[1::2])
-    axes[0, 0].plot([], [], "x", color="0.3", label="the paper")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=10)
+        axis.set(ylim=(0, top), xticks=range(len(noise)), xticklabels=[f"{x:g}" for x in noise])
+    axes[0, 0].fill_between([], [], [], color="0.6", alpha=0.4, lw=0, label="small-error bound, where valid")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", fontsize=10)
     figure.supylabel("Frobenius error", fontsize=11)
     for axis in axes[-1]:
         axis.set_xlabel("σ²", fontsize=11)

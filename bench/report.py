@@ -151,9 +151,7 @@ def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
     if _is_paper(frame):
         variants = protocol_variants(frame)
         tables = {variant_name(**v): table1(frame, **v) for v in variants}
-        slugs = [f"{v['n_nodes']}_{'two' if v['two_way'] else 'one'}_{v['around']}" for v in variants]
-        drawn = {f"table1_{slug}": figures.errors(table) for slug, table in zip(slugs, tables.values())}
-        drawn["density"] = figures.density(tables)
+        drawn = {"table1": figures.table1(tables), "density": figures.density(tables)}
         drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
     else:
         board = scoreboard(frame)

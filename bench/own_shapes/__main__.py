@@ -9,6 +9,8 @@ The order serves for evaluation, never for maps. Each part is a command, and add
     errors on copies with triangulations and vertex counts of their own, without and with four landmarks
 ``... planted cats``
     coverage where the model is right
+``... given tosca_cat``
+    what synchronisation makes of pyFM's maps, right and spoiled, on these and on random species
 ``python -m bench.own_shapes species``
     coverage over random species, of which nothing else is read
 ``... refit --out fmsync/matching/conformal.json``
@@ -21,7 +23,7 @@ are in square roots of the area.
 import argparse
 from pathlib import Path
 
-from bench.own_shapes import confidence, species
+from bench.own_shapes import confidence, given, species
 from bench.own_shapes.evaluation import collection
 from bench.own_shapes.stages import remeshed
 from bench.studies import add_part
@@ -31,6 +33,7 @@ PARTS = {
     "remeshed": remeshed,
     "landmarks": lambda loaded: remeshed(loaded, n_landmarks=4),
     "planted": confidence.planted,
+    "given": given.table,
 }
 _KEPT = Path("_build/species")  # points of finished species
 

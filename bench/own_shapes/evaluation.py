@@ -63,9 +63,9 @@ def uneven(shapes: list[Shape], amount: float = 0.0075) -> list[Shape]:
     return moved
 
 
-def species(number: int) -> list[Creature]:
-    """Four poses of a random species, each with a triangulation of its own."""
-    return load_collection("creatures", species=number, count=4, n_vertices=1500, remeshed=True)
+def species(number: int, count: int = 4) -> list[Creature]:
+    """Poses of a random species, each with a triangulation of its own."""
+    return load_collection("creatures", species=number, count=count, n_vertices=1500, remeshed=True)
 
 
 def evaluation_vertices(shapes: list[Shape], count: int = 80) -> np.ndarray:
