@@ -215,6 +215,6 @@ def test_figures_show_the_tables(paper, tmp_path):
     mle = next(axis for axis in figure.axes if axis.get_title() == "MLE (2)")
     drawn = {line.get_label(): line.get_ydata() for line in mle.lines}
     np.testing.assert_allclose(drawn["the paper"], [2.08, 4.82])
-    assert list(mle.containers[0].lines[0].get_ydata()) == [2.1, 5.1]
+    assert list(mle.containers[0].lines[0].get_ydata()) == pytest.approx([2.1, 5.1])
     (board,) = report.draw_figures(frame([1.0, 2.0]), tmp_path)
     assert board.name == "s_scoreboard.png"
