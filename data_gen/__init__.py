@@ -1,7 +1,7 @@
 """Where problems come from: shape collections, graphs, ground truth and noise. fmsync never imports this package."""
 
 from data_gen.cats import left_right_flip
-from data_gen.collections import correspondence_maps, load_collection, load_correspondences
+from data_gen.collections import correspondence_maps, front_paw, load_collection, load_correspondences
 from data_gen.creatures import Creature
 from data_gen.graphs import graph_edges, random_graph
 from data_gen.noise import perturb
@@ -14,6 +14,7 @@ __all__ = [
     "absolute_maps",
     "correspondence_maps",
     "fix_signs",
+    "front_paw",
     "graph_edges",
     "ground_truth",
     "left_right_flip",

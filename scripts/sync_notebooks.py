@@ -28,6 +28,8 @@ if "google.colab" in sys.modules:
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
+_NUMREF = re.compile(r"\{numref\}`([\w-]+)`")
+_STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
 _FIRST = """*A chapter of the fmsync book. To run it in any folder, install the project once from its checkout:*
 `pip install -e "PATH/TO/fmsync[bench]"`
 
@@ -69,6 +71,8 @@ def readable(text: str) -> str:
 
 def _heading(directive: str, title: str) -> list[str]:
     name = directive.split(":")[-1].split("-")[0].capitalize()
+    if directive == "stages":
+        return [" → ".join(f"**{s}**" if s == title else s for s in _STAGES), ""]
     if directive == "admonition":
         name, title = title, ""
     if directive == "math" or directive.endswith("-end") or not name:
@@ -137,6 +141,7 @@ def render(md: Path) -> str:
         notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
+    notebook.cells, figures = _captioned(notebook.cells, md.stem)
     for k, cell in enumerate(notebook.cells):
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
@@ -144,10 +149,24 @@ def render(md: Path) -> str:
             if "hide-input" in cell["metadata"].get("tags", ()):
                 cell["metadata"]["jupyter"] = {"source_hidden": True}
         else:
-            cell["source"] = readable(cell["source"])
+            text = _NUMREF.sub(lambda found: figures.get(found[1], found[1]), cell["source"])
+            cell["source"] = readable(text)
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     nbformat.validate(notebook)
     return nbformat.writes(notebook) + "\n"
+
+
+def _captioned(cells: list, page: str) -> tuple[list, dict[str, str]]:
+    """The cells with the caption of each figure after it, and what the figures are called, by their labels."""
+    chapter = page[:2].lstrip("0") + "." if page[:2].isdigit() else ""
+    found, called = [], {}
+    for cell in cells:
+        found.append(cell)
+        if figure := cell.metadata.get("mystnb", {}).get("figure"):
+            called[figure["name"]] = f"Fig. {chapter}{len(called) + 1}"
+            caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
+            found.append(nbformat.v4.new_markdown_cell(caption))
+    return found, called
 
 
 def stale(book: Path = BOOK) -> list[str]:

@@ -43,8 +43,19 @@ $$
 A = U S V
 $$ (eq-svd)
 
+```{stages} maps
+```
+
+See {numref}`fig-sum`.
+
 ```{code-cell} ipython3
-:tags: [hide-input]
+---
+tags: [hide-input]
+mystnb:
+  figure:
+    name: fig-sum
+    caption: A sum.
+---
 1 + 1
 ```
 """
@@ -97,6 +108,9 @@ def test_prose_reads_well_without_myst(book):
     assert "**Theorem (Nearest rotation).**" in prose
     assert "**You will learn.**" in prose
     assert "as in (svd)" in prose
+    assert "shapes → **maps** → synchronised" in prose
+    assert "See Fig. 1.1." in prose
+    assert notebook.cells[-1].source == "*Fig. 1.1.* A sum."
     assert "\\tag{svd}\n$$" in prose
     assert r"\renewcommand{\SO}[1]" in notebook.cells[0].source
     for leftover in (":::", ":label:", ":class:", "{prf:", "(ch-one)=", "$$ ("):

@@ -85,3 +85,8 @@ def test_synchronization_end_to_end(truth):
     assert estimate.converged
     assert np.sqrt((error**2).mean()) == pytest.approx(expected.mean(), rel=0.15)
     assert error.mean() < 0.65 * corrupted.mean()
+
+
+def test_the_front_paw_of_the_first_cat_is_at_its_front_and_low(cats):
+    x, y, z = cats[0].vertices[data_gen.front_paw(cats[0])] - cats[0].vertices.min(axis=0)
+    assert (z < 10) & (y < 0.35 * np.ptp(cats[0].vertices[:, 1])) & (x > 0.5 * np.ptp(cats[0].vertices[:, 0]))

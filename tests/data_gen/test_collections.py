@@ -11,7 +11,13 @@ import pytest
 
 from data_gen import __main__ as command_line
 from data_gen import cache
-from data_gen.collections import collection_files, load_collection, load_correspondences, require_common_order
+from data_gen.collections import (
+    collection_files,
+    front_paw,
+    load_collection,
+    load_correspondences,
+    require_common_order,
+)
 from data_gen.fingerprints import fingerprint, known_collections, same_triangulation, verify
 from data_gen.report import edge_distortion
 from fmsync.shape import Shape
@@ -225,3 +231,15 @@ def test_a_data_folder_that_does_not_exist_is_refused_by_name(monkeypatch, tmp_p
     monkeypatch.setenv("FMSYNC_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match="FMSYNC_DATA=.*nowhere"):
         load_collection()
+
+
+def test_the_front_paw_is_the_same_place_whatever_the_resolution():
+    places = []
+    for n_vertices in (1000, 2000, 5000):
+        cat = load_collection("cats", count=1, n_vertices=n_vertices)[0]
+        places.append(cat.normalised().vertices[front_paw(cat)])
+    ahead, across, up = np.array(places).T
+    assert np.ptp(places, axis=0).max() < 0.06
+    assert (ahead > 0.1).all()  # the trunk is at zero
+    assert (across < -0.05).all()
+    assert (up < 0.1).all()
