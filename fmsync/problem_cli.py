@@ -47,7 +47,7 @@ def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     sample.add_argument("--warmup", type=int, default=1000, help="steps before the first draw (%(default)s)")
     sample.add_argument("--thin", type=int, default=1, help="steps from one draw to the next (%(default)s)")
     sample.add_argument("--kappa", type=float, help="concentration of the observations (default: that of the method)")
-    sample.add_argument("--likelihood", default="langevin", help="or projected-gaussian (%(default)s)")
+    sample.add_argument("--likelihood", default="langevin", help="or projected-gaussian, mixture (%(default)s)")
     sample.set_defaults(run=run_sample)
     for parser in (solve, sample):
         parser.add_argument("problem", type=Path, metavar="PROBLEM.npz", help="written by fmsync.save_problem")
@@ -100,6 +100,8 @@ def run_sample(options: argparse.Namespace) -> int:
         raise KeyboardInterrupt
     arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
     arrays["relative_mean"] = post.relative_mean()
+    if post.edge_weights is not None:
+        arrays["edge_weights"] = post.edge_weights
     summary = {
         "chains": post.n_chains,
         "draws": post.n_draws,

@@ -6,7 +6,7 @@ from a table: :math:`g(\kappa) = (1+\kappa)\log c_n(\kappa)/\kappa^2` rises from
 log(1 + κ) by cubic Hermite polynomials.
 """
 
-from functools import cache
+from functools import cache, cached_property
 
 import numba
 import numpy as np
@@ -88,14 +88,29 @@ class Concentration:
         self._n, self._count = target.problem.n, float(target.problem.weights.sum())
         self._table = normaliser_table(self._n) if self.inferred else np.empty((2, 0))
 
-    def update(self, traces: np.ndarray, states: np.ndarray, powers: np.ndarray) -> None:
-        """Draw κ of every chain given T (K,); states (K, 4, 8) generators, powers (K,) of the likelihood."""
-        for k, (trace, b) in enumerate(zip(traces, powers)):
-            self.value[k] = draw_kappa(self.value[k], b * trace, b * self._count, self._n, self._table, states[k])
+    def update(
+        self, traces: np.ndarray, states: np.ndarray, powers: np.ndarray, counts: np.ndarray | None = None
+    ) -> None:
+        """Draw κ of every chain given T (K,); states (K, 4, 8) generators, powers (K,) of the likelihood.
+
+        ``counts`` (K,) are E where it is not that of all observations.
+        """
+        counts = np.full(len(traces), self._count) if counts is None else np.maximum(counts, 1e-9)  # of none: the prior
+        for k, (trace, count, b) in enumerate(zip(traces, counts, powers)):
+            self.value[k] = draw_kappa(self.value[k], b * trace, b * count, self._n, self._table, states[k])
 
     def log_likelihood(self, traces: np.ndarray) -> np.ndarray:
         """(K,) κ T, and where κ is inferred - E log c_n(κ)."""
         if not self.inferred:
             return self.value * traces
-        normaliser = np.array([interpolated_log_normaliser(kappa, self._table) for kappa in self.value])
-        return self.value * traces - self._count * normaliser
+        return self.value * traces - self._count * self.log_normaliser()
+
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        return langevin.log_normaliser(self._n, self.value)
+
+    def log_normaliser(self) -> np.ndarray:
+        """(K,) log c_n(κ)."""
+        if not self.inferred:
+            return self._fixed
+        return np.array([interpolated_log_normaliser(kappa, self._table) for kappa in self.value])

@@ -10,6 +10,7 @@ from fmsync.energy import energy_unchecked as euclidean_energy
 from fmsync.samplers import langevin_kernels, plane_rotations
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.concentration import Concentration
+from fmsync.samplers.inliers import Inliers
 from fmsync.samplers.polar_factor import PolarFactors
 from fmsync.samplers.random_streams import generators
 from fmsync.samplers.thread_pool import ThreadPool
@@ -48,7 +49,7 @@ class HeatBath(Sampler):
         self._gains = np.empty(start.shape[:2])
         self._heavy = self._gains.size * problem.n**2 * (problem.n + 30) > _WORTH_THREADS
         self.inverse_temperature = np.ones(len(start))
-        self._polar_factors: PolarFactors | None = None
+        self._latent: PolarFactors | Inliers | None = None
         if target.likelihood == "langevin":
             self._concentration = Concentration(target, len(start), rng)
             self.kappa = self._concentration.value
@@ -56,32 +57,34 @@ class HeatBath(Sampler):
             plane_rotations.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
             self._blocks = blocks[None]  # every chain reads the same
         else:
-            self._polar_factors = PolarFactors(target, len(start), rng)
-            self.kappa = 1 / self._polar_factors.sigma2
-            self._blocks = self._polar_factors.blocks
+            self._latent = (Inliers if target.likelihood == "mixture" else PolarFactors)(target, len(start), rng)
+            self.kappa, self._blocks = self._latent.kappa, self._latent.blocks
         self._refresh()
 
     @property
     def settings(self) -> dict[str, object]:
-        inferred = self._polar_factors is not None or self._concentration.inferred
+        inferred = (self._latent or self._concentration).inferred
         return {"likelihood": self._likelihood, "over_relaxations": self._over, "kappa_inferred": inferred}
 
     @property
     def state(self) -> np.ndarray:
         return so.transpose(self._x)
 
+    @property
+    def edge_weights(self) -> np.ndarray | None:  # type: ignore[override]
+        return self._latent.probabilities(self._x) if isinstance(self._latent, Inliers) else None
+
     def energy(self) -> np.ndarray:
-        if self._polar_factors is not None:
+        if self._latent is not None:
             return euclidean_energy(self._problem, self.state)
         return self._problem.constant - 2 * self._traces
 
     def step(self, warmup: bool) -> None:
         """One sweep of every chain, after a draw of what is unknown beside the maps."""
         moving = not (warmup and self._age < _BURN_IN)
-        if self._polar_factors is not None:
-            powers = self.inverse_temperature
-            self._polar_factors.step(self._x, self._states, moving, self._over_chains, powers)
-            self.kappa = 1 / self._polar_factors.sigma2
+        if self._latent is not None:
+            self._latent.step(self._x, self._states, moving, self._over_chains, self.inverse_temperature)
+            self.kappa = self._latent.kappa
         elif self._concentration.inferred and moving:
             self._concentration.update(self._traces, self._states, self.inverse_temperature)
         self._sweep()
@@ -93,12 +96,12 @@ class HeatBath(Sampler):
     def log_likelihood(self) -> np.ndarray:
         r"""(K,) the part of the log-likelihood that :meth:`set_temperature` multiplies, up to a constant.
 
-        All of it for the Langevin likelihood; for projected noise the coupling of maps and observations,
-        :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and σ² proper.
+        All of it for Langevin noise, with outliers or without; for projected noise the coupling of maps and observations
+        alone, :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and σ² proper.
         """
-        if self._polar_factors is None:
+        if self._latent is None:
             return self._concentration.log_likelihood(self._traces)
-        return self._polar_factors.coupling(self._x)
+        return self._latent.log_likelihood(self._x)
 
     def set_temperature(self, inverse: np.ndarray) -> None:
         """Powers (K,) of the likelihood, or for projected noise of the coupling."""

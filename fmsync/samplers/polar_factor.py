@@ -33,6 +33,8 @@ class PolarFactors:
     ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
     """
 
+    inferred = True
+
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self._problem = target.problem
         n, n_edges = self._problem.n, self._problem.n_edges
@@ -47,6 +49,10 @@ class PolarFactors:
         self._values[..., -1] *= np.sign(np.linalg.det(noise))
         self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
+
+    @property
+    def kappa(self) -> np.ndarray:
+        return 1 / self.sigma2
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Pool, powers: np.ndarray) -> None:
         """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks.
@@ -67,7 +73,7 @@ class PolarFactors:
 
         over_chains(some, len(x))
 
-    def coupling(self, x: np.ndarray) -> np.ndarray:
+    def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) Σ tr(Mᵀ C_iᵀ C_j)/σ² of transposed maps x (K, N, n, n), M the unprojected observations C_ij P."""
         i, j = self._problem.edges.T
         relative = x[:, i] @ np.swapaxes(x[:, j], -1, -2)

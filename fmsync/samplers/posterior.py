@@ -20,7 +20,8 @@ class Posterior:
     ``absolute`` (chains, draws, N, n, n) are rotations in whatever gauge the chains were. Of every draw (chains, draws)
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
-    ``settings`` are plain values the sampler ran with: step, warm-up, thinning, …
+    ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
+    posterior inlier probabilities of the observations under the mixture likelihood, None for the others.
     """
 
     problem: SyncProblem
@@ -30,6 +31,7 @@ class Posterior:
     kappa: np.ndarray
     interrupted: bool
     settings: Mapping[str, object]
+    edge_weights: np.ndarray | None = None
 
     @property
     def n_chains(self) -> int:

@@ -70,7 +70,10 @@ def sample(
         ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`, weights are
         multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` and tempered heat baths:
         :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
-        :math:`\log\sigma^2` uniform on [log 1e-5, log 10].
+        :math:`\log\sigma^2` uniform on [log 1e-5, log 10]. ``"mixture"``, for the same two: an observation is Langevin
+        with probability p, uniform a priori, and otherwise a uniformly random rotation; the posterior has the
+        probability of every edge in ``edge_weights``. The last two need observations in SO(n), so that for matrices
+        with noise in every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
     energy
         ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
         ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
@@ -95,28 +98,28 @@ def sample(
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
-        absolute, energies, kappas = run_chains(chains, n_draws, warmup, thin, callback)
+        absolute, energies, kappas, weights = run_chains(chains, n_draws, warmup, thin, callback)
         said = split_chains(problem, absolute)
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
-        looks = n_steps and method != "tempered" and chains.settings.get("constrained", True)
+        looks = n_steps and method != "tempered" and weights is None and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
             warnings.warn(said, ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
-    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings)
+    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings, weights)
     checks.unchecked(warn_unless_converged)(post)
     return post
 
 
 def run_chains(
     chains: Sampler, n_draws: int, warmup: int, thin: int, callback: Callback | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (K, T, N, n, n), energies and concentrations (K, T); T < n_draws after Ctrl-C."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Rotations (K, T, N, n, n), energies and concentrations (K, T), weights (E,) if any; T < n_draws after Ctrl-C."""
     n_chains = len(chains.state)
     absolute = np.empty((n_chains, n_draws, *chains.state.shape[1:]))
     energies, kappas = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
-    done = 0
+    done, weights = 0, None
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
             for k in range(warmup):
@@ -131,13 +134,16 @@ def run_chains(
                 energies[:, done] = checked_energy(chains)
                 kappas[:, done] = chains.kappa
                 absolute[:, done] = chains.draw()
+                if (new := chains.edge_weights) is not None:
+                    mean = new.mean(axis=0)
+                    weights = mean if weights is None else weights + (mean - weights) / (done + 1)
                 if callback is not None:
                     callback(done, chains.state, energies[:, done])
                 done += 1
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    return absolute[:, :done], energies[:, :done], kappas[:, :done]
+    return absolute[:, :done], energies[:, :done], kappas[:, :done], weights
 
 
 def checked_energy(chains: Sampler) -> np.ndarray:

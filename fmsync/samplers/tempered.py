@@ -68,6 +68,11 @@ class Tempered(Sampler):
         return self._replicas.kappa[self._cold()]
 
     @property
+    def edge_weights(self) -> np.ndarray | None:  # type: ignore[override]
+        weights = self._replicas.edge_weights
+        return None if weights is None else weights[self._cold()]
+
+    @property
     def state(self) -> np.ndarray:
         return self._replicas.state[self._cold()]
 

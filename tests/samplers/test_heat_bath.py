@@ -68,7 +68,7 @@ def test_chains_do_not_depend_on_their_number():
         ({"kappa": "matched"}, "kappa: a number > 0 or 'auto'"),
         ({"kappa": 3.0, "beta": 1.5}, "give one of them"),
         ({"kappa": "auto", "beta": 1.5}, "give one of them"),
-        ({"likelihood": "gaussian"}, "likelihood: 'langevin' or 'projected-gaussian'"),
+        ({"likelihood": "gaussian"}, "likelihood: 'langevin' or 'projected-gaussian' or 'mixture'"),
         ({"likelihood": "projected-gaussian", "kappa": 3.0}, "infers sigma2"),
         ({"likelihood": "projected-gaussian", "beta": 3.0}, "infers sigma2"),
         ({"over_relaxations": -1}, "over_relaxations"),

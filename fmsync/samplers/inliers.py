@@ -1,0 +1,78 @@
+r"""Wrong observations: which are inliers is drawn together with the maps, their share and their concentration.
+
+An observation is Langevin around :math:`C_i^\top C_j` with probability p and otherwise Haar-uniform on SO(n), with
+density 1. Given everything else the indicators z are independent,
+
+.. math:: \operatorname{logit} P(z_{ij}=1) =
+    \operatorname{logit} p + \kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j) - \log c_n(\kappa),
+
+and given them the maps see the inliers alone, p is beta distributed, uniform a priori, and κ is that of the inliers.
+"""
+
+import numpy as np
+from scipy.special import betaincinv, expit, logit
+
+from fmsync import checks
+from fmsync.samplers.base import Target
+from fmsync.samplers.concentration import Concentration
+from fmsync.samplers.plane_rotations import node_blocks
+from fmsync.samplers.random_streams import LANES, fill
+
+
+class Inliers:
+    """Indicators, their share p and κ of every chain, and the blocks (K, 2E n²) of the inliers that map sweeps read.
+
+    As long as κ does not move, all observations count, so that chains from random maps can order first.
+    """
+
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        self._problem = p = target.problem
+        checks.rotations("maps (node = edge)", p.maps)
+        if (p.weights != 1).any():
+            raise ValueError("weights: likelihood='mixture' needs weights 1; repeat an edge instead")
+        self._concentration = Concentration(target, n_chains, rng)
+        self.kappa, self.inferred = self._concentration.value, self._concentration.inferred
+        self._share = np.full(n_chains, 0.5)
+        self._inlier = np.ones((n_chains, p.n_edges))
+        self.blocks = np.empty((n_chains, 2 * p.n_edges * p.n**2))
+        self._numbers = np.empty((-(-(p.n_edges + 1) // LANES), LANES))
+
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
+        """Indicators, p and κ in turn given the transposed maps x (K, N, n, n), then the blocks of the inliers.
+
+        ``powers`` (K,) multiply the log-likelihood of the inliers.
+        """
+        p, traces = self._problem, self._traces(x)
+        chances = self._chances(self._gains(traces) * powers[:, None])
+        start, edge, _, forward = p.incidence
+        for k in range(len(x) if infer else 0):
+            fill(states[k], self._numbers)
+            first, *numbers = self._numbers.flat[: p.n_edges + 1]
+            self._inlier[k] = numbers < chances[k]
+            count = self._inlier[k].sum()
+            self._share[k] = np.clip(betaincinv(1 + count, 1 + p.n_edges - count, first), 1e-300, 1 - 1e-16)
+        if infer and self.inferred:
+            counts = self._inlier.sum(axis=1)
+            self._concentration.update((self._inlier * traces).sum(axis=1), states, powers, counts)
+        for k in range(len(x)):
+            node_blocks(p.maps, self._inlier[k], start, edge, forward, self.blocks[k])
+
+    def probabilities(self, x: np.ndarray) -> np.ndarray:
+        """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""
+        return self._chances(self._gains(self._traces(x)))
+
+    def log_likelihood(self, x: np.ndarray) -> np.ndarray:
+        """(K,) of the inliers at transposed maps x (K, N, n, n); that of an outlier is 0."""
+        return (self._inlier * self._gains(self._traces(x))).sum(axis=1)
+
+    def _chances(self, gains: np.ndarray) -> np.ndarray:
+        return expit(logit(self._share)[:, None] + gains)
+
+    def _gains(self, traces: np.ndarray) -> np.ndarray:
+        """(K, E) log-likelihoods as inliers, those as outliers being 0."""
+        return self.kappa[:, None] * traces - self._concentration.log_normaliser()[:, None]
+
+    def _traces(self, x: np.ndarray) -> np.ndarray:
+        """(K, E) traces of every observation against the relative map."""
+        i, j = self._problem.edges.T
+        return np.stack([np.einsum("eab,eab->e", c[i], self._problem.maps @ c[j]) for c in x])
