@@ -1,7 +1,6 @@
 """Tables of results: Table 1 cell by cell beside the paper's, and a scoreboard of any suite."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -72,21 +71,6 @@ def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
     """
     observations = "two observations" if two_way else "one observation"
     return f"N = {n_nodes}, {observations} of a pair, noise around {around} maps"
-
-
-def relative_performance(boards: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Every method (rows) on every suite (columns): its error over that of the best, geometric mean over the problems.
-
-    ``boards`` are tables of :func:`scoreboard` by suite. 1 is the best of all on every problem, NaN did not take part.
-    Methods without error see the truth and do not count.
-    """
-    columns = {}
-    for name, board in boards.items():
-        rows = board[board.error > 0]
-        over = np.log(rows.error / rows.groupby("problem").error.transform("min"))
-        columns[name] = np.exp(over.groupby(rows.label).mean())
-    table = pd.DataFrame(columns)
-    return table.loc[table.mean(axis=1).sort_values().index].rename_axis("label")
 
 
 def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:

@@ -181,17 +181,6 @@ def test_scoreboard_ranks_and_counts_failures():
     assert 0 <= heights["good"] < heights["bad"] <= 1
 
 
-def test_performance_is_relative_to_the_best():
-    rows = [frame([2.0], "a", sigma2=0.1), frame([8.0], "b", sigma2=0.1), frame([0.0], "oracle", sigma2=0.1)]
-    rows += [frame([3.0], "a", sigma2=0.2), frame([1.5], "b", sigma2=0.2)]
-    table = report.relative_performance(
-        {"one": report.scoreboard(pd.concat(rows)), "two": report.scoreboard(frame([5.0], "b"))}
-    )
-    assert table.index.tolist() == ["a", "b"]
-    np.testing.assert_allclose(table["one"], [2**0.5, 2.0])  # a: 1 and 2; b: 4 and 1
-    np.testing.assert_allclose(table["two"], [np.nan, 1.0])
-
-
 def test_names_beside_a_figure_stay_apart_and_in_order():
     board = report.scoreboard(pd.concat([frame([1.0 + 1e-3 * k], f"m{k}") for k in range(12)]))
     texts = figures.error_against_seconds(board).axes[0].texts
