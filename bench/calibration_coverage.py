@@ -1,25 +1,20 @@
 """Coverage of credible balls at the paper's size: nominal against actual, for right and wrong likelihoods.
 
-``python -m bench.calibration_coverage --problems 400`` adds what is missing to
-``results/calibration_problems.csv``, one line a problem, as they come, and writes the table
-``results/calibration_coverage.csv``. Problem number k is the same whatever ran before: the run can be stopped and
-continued. Wrong models, which miss by far, get every fourth problem.
-
-The one chain starts at the maximum of the likelihood: this tests that the posterior is left unchanged and holds the
-truth, not that it is found from afar; :mod:`bench.prior_coverage` starts at Haar draws.
+``python -m bench.calibration_coverage --problems 400`` adds what is missing to ``results/calibration_problems.csv``,
+one line a problem, and writes ``results/calibration_coverage.csv``. It can be stopped and continued. Wrong models,
+which miss by far, get every fourth problem. The one chain starts at the maximum of the likelihood, which tests that the
+posterior holds the truth and is left unchanged; in :mod:`bench.prior_coverage` it must be found from Haar draws.
 """
 
-import argparse
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 import fmsync
 from bench.problems import rotations
-from bench.studies import fill
+from bench.studies import command_line, coverage, fill
 from fmsync import calibration, diagnostics
 from fmsync.problem import relative_maps
 
@@ -80,9 +75,7 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
     """One line for each case: shares covered with standard errors clustered by problem, and what they cost."""
     lines = []
     for (noise, level, model), group in rows.groupby(["noise", "level", "model"], sort=False):
-        line = {"noise": noise, "level": level, "model": model, "problems": len(group)}
-        for q, name in COVERED.items():
-            line |= {f"{q:g}": group[name].mean(), f"se {q:g}": group[name].std(ddof=1) / np.sqrt(len(group))}
+        line = {"noise": noise, "level": level, "model": model, "problems": len(group), **coverage(group, COVERED)}
         line |= group[_MEANS].mean().to_dict() | {"cpu_hours": group.cpu_seconds.sum() / 3600}
         lines.append(line)
     return pd.DataFrame(lines).sort_values(["noise", "model", "level"], ignore_index=True)
@@ -90,16 +83,10 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compute what is missing and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=400, help="planted problems of every case")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after about this long")
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    options = parser.parse_args(arguments)
+    options = command_line(__doc__, problems=400, jobs=2).parse_args(arguments)
     path = options.results / "calibration_problems.csv"
-    todo = [
-        (*case, k) for k in range(options.problems) for case in CASES if case[0] == case[2] or k % _WRONG_EVERY == 0
-    ]
+    right = [noise == model for noise, _, model in CASES]
+    todo = [(*c, k) for k in range(options.problems) for c, r in zip(CASES, right) if r or k % _WRONG_EVERY == 0]
     fill(path, _FIELDS, todo, one, options.jobs, options.minutes)
     made = table(pd.read_csv(path))
     made.round(4).to_csv(options.results / "calibration_coverage.csv", index=False)

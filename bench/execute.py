@@ -87,12 +87,10 @@ def serve() -> None:
 def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limits=_NO_LIMITS) -> dict:
     """Make the problem, run the method within ``limits`` (a context manager), measure the answer.
 
-    Replica 0 belongs into a table. Replica k >= 1 is one more run on the same problem, which shows how much the answer
-    varies: a sampler draws other random numbers; any other method keeps its random numbers and gets observed maps, and
-    bases of shapes, whose entries are moved by about 1e-13, as if they had been computed in another arithmetic.
-
-    Returns plain JSON values, see :func:`record_of`: ``status`` "ok", "memory" or "error" (with ``traceback``) and
-    ``metrics`` as rows (name, at, value), among them seconds, CPU seconds and the growth of memory in MB.
+    Replica 0 belongs into a table. Replica k >= 1 shows how much the answer varies: a sampler draws other random
+    numbers; any other method keeps them and gets observed maps, and bases, whose entries are moved by about 1e-13, as
+    if computed in another arithmetic. Returns plain JSON values, see :func:`record_of`: ``status`` "ok", "memory" or
+    "error" (with ``traceback``), ``metrics`` as rows (name, at, value), among them seconds, CPU seconds and MB.
     """
     outcome: dict = {"status": "ok"}
     began = time.perf_counter()

@@ -13,16 +13,15 @@ LEVELS = (0.5, 0.8, 0.9, 0.95)
 class Metric:
     """A number that tables show, and how :mod:`bench.verify` compares it with the number of another run.
 
-    ``few_edges``: whether it is a share of the edges of one problem. These are few and cross a threshold together, so
-    that runs which all give the same share do not show that another run could not give a different one.
+    ``direction`` says which way is better: "lower", "higher", or "none". ``tolerance`` is relative, between processors;
+    None for what the load decides, which is not compared. ``few_edges``: whether it is a share of the edges of one
+    problem, which cross a threshold together: that runs all give the same one does not show that no run gives another.
     """
 
     name: str
     unit: str
-    direction: str  # which way is better: "lower", "higher", or "none"
-    tolerance: float | None = (
-        1e-6  # relative, between processors; None for what the load decides, which is not compared
-    )
+    direction: str
+    tolerance: float | None = 1e-6
     few_edges: bool = False
 
     def allowed(self, value: float) -> float:
@@ -38,25 +37,16 @@ class Metric:
 METRICS = {
     metric.name: metric
     for metric in (
-        Metric("edge_error", "Frobenius", "lower"),
-        Metric("edge_rms", "Frobenius", "lower"),
-        Metric("pair_error", "Frobenius", "lower"),
-        Metric("pair_rms", "Frobenius", "lower"),
-        Metric("cycle_error", "Frobenius", "lower"),
-        Metric("energy_score", "Frobenius", "lower"),
+        *(Metric(f"{name}_error", "Frobenius", "lower") for name in ("edge", "pair", "cycle")),
+        *(Metric(name, "Frobenius", "lower") for name in ("edge_rms", "pair_rms", "energy_score", "error_at_step")),
+        *(Metric(name, "Frobenius", "none") for name in ("floor_rms", "expected_rms")),
         *(Metric(f"coverage_{round(100 * level)}", "share", "none", few_edges=True) for level in LEVELS),
         Metric("calibration_error", "share", "lower", few_edges=True),
-        Metric("oracle_accuracy", "1/(1+Frobenius)", "higher"),
+        *(Metric(name, "1/(1+Frobenius)", "higher") for name in ("oracle_accuracy", "accuracy_at_draws")),
         Metric("point_error", "sqrt(area)", "lower"),
-        Metric("point_curve", "share", "higher"),
-        Metric("point_area", "share", "higher"),
-        Metric("error_at_step", "Frobenius", "lower"),
-        Metric("accuracy_at_draws", "1/(1+Frobenius)", "higher"),
+        *(Metric(name, "share", "higher") for name in ("point_curve", "point_area")),
         Metric("ess_per_second", "1/s", "higher", tolerance=None),
-        Metric("floor_rms", "Frobenius", "none"),
-        Metric("expected_rms", "Frobenius", "none"),
-        Metric("seconds", "s", "lower", tolerance=None),
-        Metric("cpu_seconds", "s", "lower", tolerance=None),
+        *(Metric(name, "s", "lower", tolerance=None) for name in ("seconds", "cpu_seconds")),
         Metric("peak_memory", "MB", "lower", tolerance=None),
         Metric("at_once", "cells", "none", tolerance=None),  # of tables made when chains of several seeds were a batch
     )

@@ -2,20 +2,16 @@
 
 ``python -m bench.prior_coverage`` adds problems to ``results/prior_coverage_problems.csv`` until the pooled share of
 maps in balls of 90 % has a standard error of half a point, and writes ``results/prior_coverage.json``. It can be
-stopped and continued. In :mod:`bench.calibration_coverage` one chain starts at the maximum of the likelihood, which
-tests that the posterior is left unchanged; here eight chains start at Haar draws and must find it.
+stopped and continued. Eight chains start at Haar draws.
 
-Small problems say little of their noise level, and balls cover as promised only if the true level is a draw of its
-prior: κ uniform, σ² log-uniform. Those of the sampler are too wide for a study, so the level is drawn on a part of
-them, and draws of the posterior outside of this part are discarded: that is the posterior under the narrower prior.
-Data that leave fewer than a fifth of the draws, or fewer than 1,000 effective ones after a longer run, are passed over;
-this depends on the data alone, given which the truth is still one more draw. With ``--fixed`` the level is the same for
-all problems: balls need not cover then, and the table shows by how much they miss.
+Balls cover as promised only if the true noise level is a draw of its prior, κ uniform or σ² log-uniform. It is drawn on
+a part of the wide priors of the sampler, and draws of the posterior outside of it are discarded: that is the posterior
+under the narrower prior. Data that leave fewer than a fifth of the draws, or fewer than 1,000 effective ones after a
+longer run, are passed over; given the data the truth is still one more draw. With ``--fixed`` the level is the same for
+all problems, and the table shows by how much balls miss then.
 """
 
-import argparse
 import warnings
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
@@ -26,7 +22,7 @@ import data_gen
 import fmsync
 from bench.calibration_coverage import COVERED
 from bench.provenance import versions
-from bench.studies import add_part, fill
+from bench.studies import add_part, command_line, coverage, fill
 from fmsync import calibration, diagnostics
 from fmsync.energy import energy
 from fmsync.problem import relative_maps
@@ -96,9 +92,7 @@ def table(rows: pd.DataFrame) -> dict[str, dict[str, object]]:
             continue
         tried = len(rows) if name == "all" else int((rows.setting == name).sum())
         line = {"problems": len(group), "passed over": tried - len(group), "ess": round(group.ess.median())}
-        for q, column in COVERED.items():
-            line[f"{q:g}"] = round(group[column].mean(), 4)
-            line[f"se {q:g}"] = round(group[column].std(ddof=1) / np.sqrt(len(group)), 4)
+        line |= {name: round(share, 4) for name, share in coverage(group, COVERED).items()}
         uniform = (np.arange(len(group)) + 0.5) / len(group)
         line["ranks"] = {c[5:]: round(float(np.abs(np.sort(group[c]) - uniform).max()), 4) for c in _RANKS}
         line["band"] = round(float(kstwo.ppf(0.95, len(group))), 4)
@@ -108,12 +102,8 @@ def table(rows: pd.DataFrame) -> dict[str, dict[str, object]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Add problems until the pooled coverage is precise, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=5000, help="at most so many of the first setting")
+    parser = command_line(__doc__, problems=5000, jobs=1)
     parser.add_argument("--fixed", action="store_true", help="κ = 12 and σ² = 0.05 for all problems")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after about this long")
-    parser.add_argument("--results", type=Path, default=Path("results"))
     options = parser.parse_args(arguments)
     path, prior = options.results / "prior_coverage_problems.csv", "fixed" if options.fixed else "drawn"
 

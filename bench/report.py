@@ -25,16 +25,11 @@ def paper_table() -> pd.DataFrame:
 def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, around: str = "consistent") -> pd.DataFrame:
     """Results (see :func:`bench.results.read`) of the suite ``paper`` beside the printed cells.
 
-    The variant of the protocol: 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured
-    maps.
-
-    Returns
-    -------
-    DataFrame
-        label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for our rows),
-        agrees (whether the printed number lies in the interval), floor (the small-error bound) and expected (root mean
-        squares), recoverable (:func:`fmsync.bounds.recovery_threshold`), bound_valid
-        (:func:`fmsync.bounds.is_small_error`).
+    A variant of the protocol has 4 or 11 shapes, one or two observations of a pair, noise around consistent or measured
+    maps. Columns: label, density, sigma2, mean, low, high (95 % bootstrap interval over seeds), seeds, paper (NaN for
+    our rows), agrees (whether the printed number lies in the interval), floor (the small-error bound) and expected
+    (root mean squares), recoverable (:func:`fmsync.bounds.recovery_threshold`), bound_valid
+    (:func:`fmsync.bounds.is_small_error`).
     """
     where = (frame.n_nodes == n_nodes) & (frame.two_way.eq(True) == two_way) & frame.density.notna()
     chosen = frame[where & (frame.around.fillna("consistent") == around)]

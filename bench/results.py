@@ -25,8 +25,6 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (:func:`bench.code.code_hash`). The last two are
     None for runs that finished before they were recorded.
 
-    Examples
-    --------
     >>> record = {"generator": "g", "problem": {"n": 3}, "seed": 0, "label": "a", "method": "a", "options": {},
     ...           "status": "ok", "metrics": [["edge_error", None, 0.5]], "commit": "c", "machine": "m", "versions": "v"}
     >>> to_frame("s", [record])[["label", "metric", "value", "unit", "direction"]].values.tolist()
@@ -34,10 +32,8 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     """  # noqa: E501
     rows = []
     for record in records:
-        run = (
-            {"suite": suite} | {name: record.get(name) for name in _WHAT + _WHERE} | {name: None for name in PARAMETERS}
-        )
-        run |= {name: value for name, value in record["problem"].items() if name in PARAMETERS}
+        run = {"suite": suite} | {name: record.get(name) for name in _WHAT + _WHERE}
+        run |= {name: record["problem"].get(name) for name in PARAMETERS}
         run |= {name: json.dumps(record[name], sort_keys=True) for name in ("problem", "options")}
         run["detail"] = (record.get("traceback") or "").strip().rpartition("\n")[2] or None
         for name, at, value in record["metrics"] or [(None, None, np.nan)]:

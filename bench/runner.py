@@ -36,16 +36,10 @@ def run_suite(
 ) -> Outcome:
     """Execute all runs that are not in the cache; each is written there as it ends.
 
-    Parameters
-    ----------
-    n_jobs
-        Runs at a time on this machine, each with one BLAS thread.
-    scheduler
-        Address of a Dask scheduler to use instead; the runs of a worker that dies are given to another one.
-    on_record, on_start
-        Told of every run as it ends, and first of how many were found and are left.
-
-    A :class:`RunError` where nothing can be written (a full disk), or the scheduler cannot be reached.
+    ``n_jobs`` at a time on this machine, each with one BLAS thread, or on the Dask cluster whose ``scheduler`` has this
+    address: runs of a worker that dies are given to another one. ``on_record`` is told of every run as it ends,
+    ``on_start`` first of how many were found and are left. A :class:`RunError` where nothing can be written (a full
+    disk), or the scheduler cannot be reached.
     """
     if n_jobs < 1:
         raise ValueError(f"n_jobs: need at least one process, got {n_jobs}")
@@ -114,9 +108,7 @@ def _executor(n_jobs: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         client = distributed.Client(scheduler, timeout=5)
     except (OSError, TimeoutError, ValueError) as error:
-        why = (
-            f"{scheduler} cannot be reached ({error or type(error).__name__}); start 'dask scheduler' and 'dask worker'"
-        )
-        raise RunError(f"scheduler: {why}, and give its tcp:// address") from error
+        todo = "start 'dask scheduler' and 'dask worker', and give its tcp:// address"
+        raise RunError(f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); {todo}") from error
     with client, client.get_executor(pure=False) as executor:
         yield executor

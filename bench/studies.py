@@ -1,5 +1,6 @@
 """What the stand-alone studies share: CPU seconds, and files of results that are added to."""
 
+import argparse
 import csv
 import json
 import time
@@ -29,6 +30,24 @@ def add_part(path: Path, part: str, found: Mapping, command: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         file.write(f"{json.dumps(table, indent=1, ensure_ascii=False)}\n".encode())
+
+
+def command_line(text: str, problems: int, jobs: int) -> argparse.ArgumentParser:
+    """What the studies of coverage are asked: how many problems, by which means, and where the results are."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=problems, help="at most, of each case or of the first setting")
+    parser.add_argument("--jobs", type=int, default=jobs)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after about this long")
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    return parser
+
+
+def coverage(rows: pd.DataFrame, columns: Mapping[float, str]) -> dict[str, float]:
+    """Shares covered by the balls of each probability, with standard errors clustered by problem, one a row."""
+    found = {}
+    for q, name in columns.items():
+        found |= {f"{q:g}": rows[name].mean(), f"se {q:g}": rows[name].std(ddof=1) / len(rows) ** 0.5}
+    return found
 
 
 def fill(

@@ -1,25 +1,16 @@
 r"""Repeat random runs of a table of results, here, and see whether they agree with what the table says.
 
-Which differences are accepted depends on where the row was made and on what the method does with rounding:
-
-``"bits"``
-    The row names the arithmetic (:func:`data_gen.cache.arithmetic`), versions and code that run here: every number must
-    be the same in all of its bits.
-``"tolerance"``
-    Anywhere else the last bits may differ, by what the metric says in :data:`bench.metrics.METRICS`.
-``"rounding"``
-    A method that takes no random path may still amplify the last bit: a linear program with many solutions, or two
-    minima of one cost. Where a run is outside of the tolerance, it is repeated with observations whose last digits are
-    moved. The row agrees if one of these runs gives its number within the tolerance, or if it lies among them.
-``"Monte Carlo"``
-    A chain may take another path as soon as one proposal is decided otherwise. Where a run is outside of the tolerance,
-    it is repeated *on the same problem* with other random numbers, and the row has to lie within four Monte Carlo
-    standard errors. Differences between problems, which are many times as large, do not enter.
-
-With mean :math:`m` and standard deviation :math:`s` of :math:`k` runs on the same problem, a row agrees if it is within
-:math:`q\,s\sqrt{1+1/k}` of :math:`m`, where :math:`q` is the quantile of Student's distribution that is exceeded as
-rarely as four standard deviations of a normal one. All rows of a sampler together can show a small difference that one
-row cannot, so their standardised differences are also added: ``"Monte Carlo together"``.
+* ``"bits"``: the row names the arithmetic (:func:`data_gen.cache.arithmetic`), versions and code that run here, so that
+  every number must be the same in all of its bits.
+* ``"tolerance"``: anywhere else they may differ by what the metric says in :data:`bench.metrics.METRICS`.
+* ``"rounding"``: a linear program with many solutions or two minima of one cost amplify the last bit. A run outside of
+  the tolerance is repeated with observations whose last digits are moved; the row agrees if one of these runs gives its
+  number within the tolerance, or if it lies among them.
+* ``"Monte Carlo"``: a chain takes another path as soon as one proposal is decided otherwise. A run outside of the
+  tolerance is repeated *on the same problem* with other random numbers. The row agrees if it is within
+  :math:`q\,s\sqrt{1+1/k}` of the mean of these k runs, s their standard deviation and q the quantile of Student's
+  distribution that is exceeded as rarely as four standard deviations of a normal one.
+* ``"Monte Carlo together"``: standardised differences of all rows of a sampler, added: these show less than one can.
 """
 
 import json
@@ -96,11 +87,9 @@ def verify(
     """Repeat random runs of a table, each alone, and compare all metrics but those of time, memory and batch size.
 
     One verdict for every metric of every run, then one for every metric of a method of which at least two runs were
-    compared by ``"Monte Carlo"``, of these runs together. Runs are chosen by ``rng`` among those of the ``frame`` (see
-    :func:`bench.results.read`) that gave an answer and whose data are on this machine.
-
-    A run that is outside of the tolerance at first is repeated ``n_replicas`` >= 3 times. With 16 the quantile that
-    stands for four standard errors is 5.4, with 8 it is 7.6, with 4 it is 17.
+    compared by ``"Monte Carlo"``, of these together. Runs are chosen by ``rng`` among those of the ``frame`` (see
+    :func:`bench.results.read`) that gave an answer and whose data are here; one outside of the tolerance is repeated
+    ``n_replicas`` >= 3 times (with 16 the quantile of four standard errors is 5.4, with 8 7.6, with 4 17).
     """
     if n_replicas < _FEWEST:
         raise ValueError(f"n_replicas: need at least {_FEWEST} to know how much runs vary, got {n_replicas}")
@@ -116,9 +105,7 @@ def verify(
         problem, options = json.loads(row.problem), json.loads(row.options)
         module = row.generator.partition(":")[0]
         if module.partition(".")[0] != "bench" and module not in sys.modules:
-            raise ValueError(
-                f"generator: {row.generator!r} is not part of bench; import it first if you trust the table"
-            )
+            raise ValueError(f"generator: {row.generator!r} is not part of bench; import it if you trust the table")
         run = Run(row.generator, problem, int(row.seed), row.label, row.method, options, *_LIMITS)
         try:
             data_hash(run.generator, run.problem)

@@ -25,7 +25,9 @@ def cached(key: str, build: Callable[[], Arrays]) -> Arrays:
     to costs the time of building, nothing else. The file is ``fmsync/<arithmetic>/<key>.npz`` in the folder that the
     environment variable ``XDG_CACHE_HOME`` names, by default ``~/.cache``.
     """
-    path = _folder() / arithmetic() / f"{key}.npz"
+    named = os.environ.get("XDG_CACHE_HOME", "")  # ignored if not absolute, as its specification says
+    folder = Path(named) if os.path.isabs(named) else Path.home() / ".cache"
+    path = folder / "fmsync" / arithmetic() / f"{key}.npz"
     arrays = _read(path)
     if arrays is None:
         arrays = build()
@@ -36,13 +38,18 @@ def cached(key: str, build: Callable[[], Arrays]) -> Arrays:
     return arrays
 
 
+def recipe(*files: str) -> str:
+    """Changes with these files of the package, so that an old cache is not read by a new version."""
+    sources = [Path(__file__).with_name(name).read_bytes() for name in files]
+    return hashlib.sha256(b"".join(sources)).hexdigest()[:12]
+
+
 @cache
 def arithmetic() -> str:
     """Name of what the last bits of a floating-point result depend on, besides the program and its input.
 
-    Processors add the terms of a sum in different orders, and fuse multiplications and additions or do not. Which of
-    these happens depends on the kernels that OpenBLAS chose (for NumPy and for SciPy), on the processor features that
-    NumPy uses (all that it finds, without those in ``NPY_DISABLE_CPU_FEATURES``), on ``NUMBA_CPU_NAME`` and
+    The order of the terms of a sum, for instance, depends on the kernels that OpenBLAS chose (for NumPy and for SciPy),
+    on the processor features that NumPy uses (without those in ``NPY_DISABLE_CPU_FEATURES``), on ``NUMBA_CPU_NAME`` and
     ``NUMBA_CPU_FEATURES``, on the versions of NumPy and SciPy, and on the machine's architecture and C library.
     Results with the same name, such as ``"Haswell-3f2a91c04b7e"``, are expected to agree bit by bit. The environment
     variables that change it (``OPENBLAS_CORETYPE`` as well) must be set before Python starts.
@@ -58,12 +65,6 @@ def arithmetic() -> str:
     }
     kernels = sorted({b.rpartition(" ")[2] for b in blas}) or ["unknown"]
     return f"{'-'.join(kernels)}-{hashlib.sha256(repr(everything).encode()).hexdigest()[:12]}"
-
-
-def _folder() -> Path:
-    """By the XDG base directory specification, a name that is not absolute is ignored."""
-    named = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "fmsync"
 
 
 def checksum(arrays: Arrays) -> str:

@@ -6,15 +6,17 @@ hanging leg backwards; positive yaw turns the nose to the cat's left. A name wit
 as mirror images. Its muscle tone is one number a bone: how much thicker than at rest the flesh around it is.
 """
 
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data_gen.cat_body import Bone, Cone, bones, cone_distance, cones
-
-Pose = Mapping[str, tuple[float, float, float]]
+from data_gen.body import Bone, Cone, Pose, cone_distance
+from data_gen.cat_body import cat_body
+from data_gen.self_intersection import self_intersections
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
@@ -22,132 +24,45 @@ _TONE = 0.142  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
 
 
-def _tail(pitch, yaw=0.0, curl=0.0):
-    """Every tail joint turned by the same angles; ``curl`` adds pitch towards the tip and takes it at the root."""
-    return {f"tail{k}": (0, pitch + curl * (k - 3), yaw) for k in range(7)}
+_LIMBS = {"fore": ("upper arm", "forearm", "hand"), "hind": ("thigh", "shin", "foot", "toes")}
 
 
-def _pitches(joints, *directions, spread=0.0):
-    """Pitch of each joint in a chain: the first direction is that before it, the others of its pieces (degrees)."""
-    local = np.diff(directions)
-    return {joint: (spread if k == 0 else 0, pitch, 0) for k, (joint, pitch) in enumerate(zip(joints, local))}
+def _angles(told: Mapping[str, list[float]]) -> Pose:
+    """Angles of every joint of a pose as ``cat_poses.toml`` tells it."""
+    pose: dict[str, tuple[float, float, float]] = {}
+    for part, values in told.items():
+        limb = part.split()[-1]
+        if part == "tail":
+            pitch, yaw, curl = values
+            pose |= {f"tail{k}": (0, pitch + curl * (k - 3), yaw) for k in range(7)}
+        elif part == "spine":
+            pelvis, loin, chest, yaw = values
+            pose |= {"pelvis": (0, pelvis, 0), "loin": (0, loin, yaw), "chest": (0, chest, yaw)}
+        elif limb in _LIMBS:
+            joints = [part.replace(limb, joint) for joint in _LIMBS[limb]]
+            *directions, roll = values
+            pitches = np.diff(directions)
+            pose |= {joint: (0 if k else roll, pitches[k], 0) for k, joint in enumerate(joints[: len(pitches)])}
+        else:
+            pose[part] = tuple(values)
+    return pose
 
 
-def _fore(side, *directions, spread=0.0):
-    return _pitches([f"{side}{joint}" for joint in ("upper arm", "forearm", "hand")], *directions, spread=spread)
-
-
-def _hind(side, *directions, spread=0.0):
-    return _pitches([f"{side}{joint}" for joint in ("thigh", "shin", "foot", "toes")], *directions, spread=spread)
-
-
-def _spine(pelvis, loin, chest, yaw=0.0):
-    return {"pelvis": (0, pelvis, 0), "loin": (0, loin, yaw), "chest": (0, chest, yaw)}
-
-
-POSES: dict[str, Pose] = {
-    "standing": _tail(4),
-    "walking": {
-        **_fore("left ", 0, -24, -20, -8),
-        **_fore("right ", 0, 24, 12, 22),
-        **_hind("left ", 0, 20, 15, 23, 10),
-        **_hind("right ", 0, -24, -12, -8, 0),
-        **_tail(6, 6),
-    },
-    "running": {
-        **_spine(2, -4, -4),
-        **_fore("left ", -6, -62, -58, -40),
-        **_fore("right ", -6, -48, -46, -20),
-        **_hind("left ", 2, 42, 40, 52, 60),
-        **_hind("right ", 2, 30, 34, 44, 50),
-        "neck": (0, 14, 0),
-        **_tail(1, -3),
-    },
-    "gathered": {
-        **_spine(-24, 24, 24),
-        **_fore("left ", 24, 26, 14, 40),
-        **_fore("right ", 24, 14, -5, 20),
-        **_hind("left ", -24, -42, -18, -34, -10, spread=7),
-        **_hind("right ", -24, -32, -8, -24, -6, spread=-7),
-        "neck": (0, -14, 0),
-        "head": (0, -10, 0),
-        **_tail(2, 2),
-    },
-    "sitting": {
-        **_spine(-38, -6, 2),
-        **_fore("", -42, -16, -10, 0, spread=3),
-        **_hind("", -38, -52, -10, -66, -5, spread=8),
-        "neck": (0, 22, 0),
-        "head": (0, 24, 0),
-        **_tail(0, 14),
-    },
-    "stretching": {
-        **_spine(14, 6, 4),
-        **_fore("", 24, -58, -72, -66),
-        **_hind("", 14, 4, 2, 0, 0),
-        "neck": (0, -26, 0),
-        "head": (0, -6, 0),
-        **_tail(12, 0, 2),
-    },
-    "stalking": {
-        **_spine(0, 0, 4),
-        **_fore("left ", 4, 40, -28, 0),
-        **_fore("right ", 4, 18, -50, -12),
-        **_hind("left ", 0, -22, 14, -20, 0),
-        **_hind("right ", 0, -8, 30, 0, 0),
-        "neck": (0, 34, 0),
-        "head": (0, -34, 0),
-        **_tail(-3, -4, 2),
-    },
-    "looking back": {
-        **_spine(0, 0, 0, yaw=14),
-        "neck": (0, -6, 34),
-        "head": (0, 0, 34),
-        **_fore("left ", 0, -6, 0, 0),
-        **_hind("right ", 0, 10, 8, 8, 4),
-        **_tail(11, 5, 2),
-    },
-    "paw raised": {
-        **_spine(-6, 0, 2),
-        **_fore("left ", -4, -62, 20, 60, spread=6),
-        **_fore("right ", -4, 2, 2, 2),
-        **_hind("", -6, -6, 4, -4, 0),
-        "neck": (0, 8, -12),
-        "head": (8, 10, -18),
-        **_tail(8, -8, 3),
-    },
-    "arched": {
-        **_spine(-26, 26, 24),
-        **_fore("", 24, 6, 2, 0),
-        **_hind("", -26, -2, 6, 0, 0),
-        "neck": (0, 6, 10),
-        "head": (0, -6, 14),
-        **_tail(14, 2, -3),
-    },
-    "leaping": {
-        **_spine(-26, -6, 4),
-        **_fore("left ", -28, -84, -40, -20),
-        **_fore("right ", -28, -66, -24, 10),
-        **_hind("left ", -26, 14, 16, 30, 50),
-        **_hind("right ", -26, 0, 8, 20, 44),
-        "neck": (0, 16, 0),
-        **_tail(-4, 5, 2),
-    },
-}
+_TOLD = tomllib.loads(Path(__file__).with_name("cat_poses.toml").read_text(encoding="utf-8"))
+POSES = {name: _angles(told) for name, told in _TOLD.items()}
 
 
 def muscle_tone(k: int) -> np.ndarray:
     """Tone (B,) of the k-th cat: flesh is tense or slack, on the tail as one and on the ears never; for every seed."""
-    names = [bone.name for bone in bones()]
+    names = [bone.name for bone in cat_body().bones]
     fleshy = [name for name in names if not name.endswith("ear")]
     signs = dict(zip(fleshy, np.random.default_rng([1, k]).choice([1.0, -1.0], len(fleshy))))
     signs |= {name: signs["tail0"] for name in fleshy if name.startswith("tail")}
     return _TONE * np.array([signs.get(name, 0.0) for name in names])
 
 
-def joint_transforms(pose: Pose, skeleton: Sequence[Bone] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone, of the cat's by default, into the pose."""
-    skeleton = skeleton or bones()
+def joint_transforms(pose: Pose, skeleton: Sequence[Bone]) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (B, 3, 3) and translations (B, 3) that carry every bone into the pose."""
     names = [bone.name for bone in skeleton]
     angles = _both_sides(pose, names)
     rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
@@ -189,18 +104,11 @@ class Rig:
 
     The skin is first carried by blended bone transforms, then relaxed by as-rigid-as-possible iterations (Sorkine and
     Alexa 2007) in which vertices that clearly belong to one bone are pulled towards their place: joints bend without
-    collapsing and edges keep their lengths. Bones and flesh are those of the cat if no others are given.
+    collapsing and edges keep their lengths.
     """
 
-    def __init__(
-        self,
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        skeleton: Sequence[Bone] | None = None,
-        flesh: Sequence[Cone] | None = None,
-    ):
-        self.vertices, self.faces = vertices, faces
-        self._skeleton, flesh = skeleton or bones(), flesh or cones()
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, skeleton: Sequence[Bone], flesh: Sequence[Cone]):
+        self.vertices, self.faces, self._skeleton = vertices, faces, skeleton
         stiffness, areas = _cotangents(vertices, faces)
         self._normals = vertex_normals(vertices, faces)
         names = [bone.name for bone in self._skeleton]
@@ -228,6 +136,14 @@ class Rig:
         for _ in range(_ARAP_STEPS):
             posed = self._global_step(rest, self._local_step(rest, posed), skinned)
         return posed
+
+    def first_free(self, poses: Iterable[tuple[Pose, np.ndarray]], name: str) -> np.ndarray:
+        """Vertices (V, 3) in the first of some poses and tones that does not pass through itself, else a ValueError."""
+        for pose, tone in poses:
+            vertices = self.pose(pose, tone)
+            if len(self_intersections(vertices, self.faces)) == 0:
+                return vertices
+        raise ValueError(f"{name}: all draws of its pose pass through themselves; try another seed")
 
     def _local_step(self, rest, posed):
         """The rotation (V, 3, 3) that best carries the resting edges around each vertex to the posed ones."""

@@ -30,41 +30,29 @@ def load_collection(
 ) -> list[Shape]:
     """Shapes of a collection, in natural order of their names (``cat2`` before ``cat10``).
 
-    Parameters
-    ----------
-    source
-        ``"cats"`` for the synthetic cats, ``"creatures"`` for a random species; a folder of meshes; the name of a
-        folder inside the one that the environment variable ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list
-        of files, whose order is kept. Left out, the TOSCA cats where ``FMSYNC_DATA`` has them, the synthetic cats
-        otherwise.
-    count, n_vertices, seed, symmetric
-        Of the synthetic cats and creatures alone, see ``data_gen.cats.cats``.
-    species, remeshed
-        Of the creatures alone, see ``data_gen.creatures.creatures``: the seed that draws their body, and whether each
-        has a triangulation of its own. They know their true correspondences.
+    The ``source`` is ``"cats"`` for the synthetic cats, ``"creatures"`` for a random species, which knows its true
+    correspondences; a folder of meshes; the name of a folder inside the one that the environment variable
+    ``FMSYNC_DATA`` names, such as ``"tosca_cat"``; or a list of files, whose order is kept. Left out, the TOSCA cats
+    where ``FMSYNC_DATA`` has them, the synthetic cats otherwise. A ValueError where there is no such collection, or one
+    of its files cannot be read.
 
-    Raises
-    ------
-    ValueError
-        There is no such collection, or one of its files cannot be read as a mesh or point cloud.
+    ``count``, ``n_vertices``, ``seed`` and ``symmetric`` are of the synthetic cats and creatures, see
+    ``data_gen.cats.cats``; ``species`` and ``remeshed`` of the creatures alone, see ``data_gen.creatures.creatures``.
 
-    Examples
-    --------
     >>> [shape.name for shape in load_collection("cats", count=3, n_vertices=1000)]
     ['cat0', 'cat1', 'cat2']
     """
     if source is None:
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
     of_creatures = {"species": (species, 0), "remeshed": (remeshed, False)}
-    generated = {"count": count, "n_vertices": n_vertices, "seed": seed, "symmetric": symmetric}
-    if isinstance(source, str) and source == "creatures":
-        return [*creatures(species, remeshed=remeshed, **generated)]
-    if isinstance(source, str) and source == "cats":
+    sizes = {"count": (count, 11), "n_vertices": (n_vertices, 5000), "seed": (seed, 0), "symmetric": (symmetric, False)}
+    chosen = {name: value for name, (value, _) in sizes.items()}
+    if source == "creatures":
+        return [*creatures(species, remeshed=remeshed, **chosen)]
+    if source == "cats":
         checks.unused("for cats", **of_creatures)
-        return cats(**generated)
-    defaults = {"count": 11, "n_vertices": 5000, "seed": 0, "symmetric": False}
-    of_both = {name: (generated[name], default) for name, default in defaults.items()}
-    checks.unused("for files", **of_both, **of_creatures)
+        return cats(**chosen)
+    checks.unused("for files", **sizes, **of_creatures)
     return [read_shape(file) for file in collection_files(source)]
 
 
@@ -85,21 +73,17 @@ def require_common_order(shapes: Sequence[Shape]) -> None:
     expected = shapes[0].n_vertices
     different = [f"{shape.name} ({shape.n_vertices})" for shape in shapes if shape.n_vertices != expected]
     if different:
-        raise ValueError(
-            f"a common vertex order needs equal vertex counts: {shapes[0].name} has {expected}, not so "
-            f"{', '.join(different)}; give correspondence files instead"
-        )
+        told = f"{shapes[0].name} has {expected}, not so {', '.join(different)}; give correspondence files instead"
+        raise ValueError(f"a common vertex order needs equal vertex counts: {told}")
 
 
 @checked()
 def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np.ndarray]:
-    """Where the points of a common template lie on each shape, from the files ``<name>.vts`` or ``<name>.txt``.
+    """Vertices (K,) of each shape at the points of a common template, from the files ``<name>.vts`` or ``<name>.txt``.
 
-    Line k of a file holds the vertex that corresponds to point k of the template, counted from one in ``.vts`` (as in
-    the remeshed benchmarks of Ren et al. 2018) and from zero in ``.txt``.
-
-    Returns one (K,) array of vertex indices for each shape; a file that is missing, is not a list of vertex numbers,
-    points outside its shape or has another length is a ValueError.
+    Line k holds the vertex at point k, counted from one in ``.vts`` (as in the remeshed benchmarks of Ren et al. 2018),
+    from zero in ``.txt``. A file that is missing, no list of vertices of its shape, or longer than others is a
+    ValueError.
     """
     found = [_read_correspondence(Path(folder), shape) for shape in shapes]
     for shape, points in zip(shapes, found):
@@ -131,20 +115,11 @@ def front_paw(shape: Shape) -> int:
 def correspondence_maps(
     shapes: Sequence[Shape], correspondences: Sequence[np.ndarray], edges: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:
-    """Point maps of the edges of shapes that know a common template, for ``ground_truth(..., point_maps=...)``.
+    """Point maps (V_i,) of ``edges`` (E, 2) by (i, j), for ``ground_truth(..., point_maps=...)``.
 
-    Every vertex of shape i goes where its nearest template point lies on shape j; straight-line distances, so the
-    template should be dense.
+    N shapes of any vertex counts know the vertices (K,) of a common template (:func:`load_correspondences`). A vertex
+    of shape i goes where its nearest template point, in a straight line, lies on shape j: it should be dense.
 
-    Parameters
-    ----------
-    shapes, correspondences
-        N shapes of any vertex counts, and for each the vertices (K,) of all template points (``load_correspondences``).
-    edges
-        (E, 2) pairs (i, j), which the result takes to the vertices (V_i,) of j.
-
-    Examples
-    --------
     >>> shape = load_collection("cats", count=1, n_vertices=1000)[0]
     >>> maps = correspondence_maps([shape, shape], [np.arange(1000)] * 2, [[0, 1]])
     >>> bool((maps[0, 1] == np.arange(1000)).all())
@@ -172,10 +147,8 @@ def _read_correspondence(folder, shape):
         raise ValueError(f"{path}: the file is empty")
     outside = (points < 0) | (points >= shape.n_vertices)
     if outside.any():
-        line = int(np.argmax(outside))
-        raise ValueError(
-            f"{path}: line {line + 1} names vertex {points[line] + base}; {shape.name} has {shape.n_vertices}"
-        )
+        k = int(np.argmax(outside))
+        raise ValueError(f"{path}: line {k + 1} names vertex {points[k] + base}; {shape.name} has {shape.n_vertices}")
     return points
 
 

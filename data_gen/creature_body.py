@@ -1,102 +1,11 @@
 """Creatures at rest: a seed draws a body plan, its bones, the flesh around them and how far each joint turns.
 
-Axes are those of the cat: x towards the nose, y to the left, z up. Every plan is a trunk with up to three pairs of
-limbs, a neck or two with a head each, and perhaps a tail, ears, horns or fins; it is mirror symmetric in y = 0.
+Every plan is a trunk with up to three pairs of limbs, a neck or two with a head each, and perhaps a tail, ears or fins.
 """
-
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data_gen.cat_body import Bone, Cone, cone_distance, melted
-from data_gen.cat_pose import Pose
-
-_THIN = 0.028  # smallest radius: what a mesh of 1000 vertices still resolves
-_FAR = 0.5  # a distance at which flesh is not felt
-
-
-@dataclass
-class Body:
-    """Bones, parents before children, flesh in ``parts`` that melt into each other, and the turns of joints.
-
-    ``turns`` holds for each bone the least and the largest (roll, pitch, yaw) in degrees. Whatever is named
-    ``"left ..."`` has its mirror image ``"right ..."``.
-    """
-
-    blend: float
-    bones: list[Bone] = field(default_factory=list)
-    parts: list[list[Cone]] = field(default_factory=list)
-    turns: dict[str, np.ndarray] = field(default_factory=dict)
-
-    def skin(self, points: np.ndarray) -> np.ndarray:
-        """The implicit function (P,) of points (P, 3)."""
-        return melted(points, self.parts, self.blend)
-
-    def rough_skin(self, grid: np.ndarray) -> np.ndarray:
-        """The same on a grid (nz, ny, nx, 3), up to 2 % of ``blend``: each cone is looked at from nearby alone."""
-        axes = grid[0, 0, :, 0], grid[0, :, 0, 1], grid[:, 0, 0, 2]
-        total = np.full(grid.shape[:3], np.exp(-_FAR / self.blend))
-        for part in self.parts:
-            distance = np.full(grid.shape[:3], _FAR)
-            for cone in part:
-                room = 4 * self.blend + max(cone.radius_start, cone.radius_end) * max(cone.scale)
-                low, high = np.sort([cone.start, cone.end], axis=0) + np.array([[-room], [room]])
-                near = tuple(slice(*axis.searchsorted(ends)) for axis, *ends in zip(axes, low, high))[::-1]
-                distance[near] = np.minimum(distance[near], cone_distance(grid[near], cone))
-            total += np.exp(-distance / self.blend)
-        return -self.blend * np.log(total)
-
-    def cones(self) -> list[Cone]:
-        """All flesh."""
-        return [cone for part in self.parts for cone in part]
-
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest corner of the half y >= 0, with room for melting."""
-        ends = np.array([[cone.start, cone.end] for cone in self.cones()])
-        room = max(max(c.radius_start, c.radius_end) * max(c.scale) for c in self.cones()) + 3 * self.blend
-        low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
-        return np.array([low[0], 0.0, low[2]]), high
-
-    def pose(self, rng: np.random.Generator, ease: float) -> Pose:
-        """Joint angles drawn evenly within a share ``ease`` of what the joints allow."""
-        return {name: ease * rng.uniform(low, high) for name, (low, high) in self.turns.items()}
-
-    def chain(self, name, parent, start, directions, lengths, radii, turns, scale=(1.0, 1.0, 1.0)):
-        """A row of bones ``name0``, ``name1``, ... in flesh with K + 1 radii; their ends (K + 1, 3).
-
-        ``turns`` holds for each bone (or for all) half the range of roll, pitch and yaw and the middle of the pitch.
-        """
-        steps = np.array(directions) * np.array(lengths)[:, None]
-        points = np.vstack([start, start + np.cumsum(steps, axis=0)])
-        radii = np.maximum(radii, _THIN / min(scale))
-        for k, (*half, middle) in enumerate(np.broadcast_to(turns, (len(lengths), 4))):
-            self.bones.append(Bone(f"{name}{k}", f"{name}{k - 1}" if k else parent, tuple(points[k])))
-            self.turns[f"{name}{k}"] = np.array([0, middle, 0]) + np.multiply.outer([-1, 1], half)
-        self.flesh([f"{name}{k}" for k in range(len(lengths))], points, radii, scale)
-        return points
-
-    def flesh(self, owners: Sequence[str], points, radii, scale=(1.0, 1.0, 1.0)):
-        """One part: a row of cones through points (K + 1, 3), carried by K bones."""
-        ends = zip(owners, points[:-1], points[1:], radii[:-1], radii[1:])
-        self.parts.append([Cone(owner, tuple(a), tuple(b), r, s, scale) for owner, a, b, r, s in ends])
-
-    def mirror(self):
-        """Add the right side to the left one."""
-        for bone in [bone for bone in self.bones if bone.name.startswith("left ")]:
-            self.bones.append(Bone(_other(bone.name), _other(bone.parent), _opposite(bone.joint)))
-            self.turns[_other(bone.name)] = self.turns[bone.name]
-        for part in [part for part in self.parts if part[0].start[1] > 0 or part[-1].end[1] > 0]:
-            changes = ({"bone": _other(c.bone), "start": _opposite(c.start), "end": _opposite(c.end)} for c in part)
-            self.parts.append([replace(cone, **change) for cone, change in zip(part, changes)])
-
-
-def _other(name):
-    return name.replace("left ", "right ")
-
-
-def _opposite(point):
-    return (point[0], -point[1], point[2])
+from data_gen.body import THIN, Body, Bone
 
 
 def towards(pitch, out=0.0):
@@ -136,7 +45,7 @@ def _trunk(body, rng, rise, length):
         wide = rng.choice([0.5, 0.9])
         body.bones.append(Bone("ridge0", "trunk1", tuple(points[1])))
         body.turns["ridge0"] = np.zeros((2, 3))
-        body.flesh(["ridge0"], ridge, np.maximum([0.55 * girth] * 2, _THIN / wide), (1.0, wide, 1.0))
+        body.flesh(["ridge0"], ridge, np.maximum([0.55 * girth] * 2, THIN / wide), (1.0, wide, 1.0))
     return points, radii * flat[1], rise
 
 
@@ -147,15 +56,8 @@ def _limbs(body, rng, plan, trunk):
     knee = rng.choice([-1, 1]) * rng.uniform(8, 30)
     if plan == "swimmer":
         for k in (2, 0)[: rng.integers(1, 3)]:
-            _fin(
-                body,
-                rng,
-                f"left fin{k} ",
-                f"trunk{k}",
-                points[k] * 0.6 + points[k + 1] * 0.4,
-                radii[k],
-                1 + 0.3 * (k - 2),
-            )
+            at = points[k] * 0.6 + points[k + 1] * 0.4
+            _fin(body, rng, f"left fin{k} ", f"trunk{k}", at, radii[k], 1 + 0.3 * (k - 2))
         return
     places = {"upright": [0], "biped": [0], "hexapod": [0, 1, 2]}.get(plan, [0, 2])
     splay = {"sprawling": (35, 65), "hexapod": (15, 60), "upright": (3, 12)}.get(plan, (0, 10))
@@ -171,7 +73,7 @@ def _limbs(body, rng, plan, trunk):
 
 def _leg(body, rng, name, parent, at, girth, length, thick, knee, splay):
     """Thigh, shin and a foot that points forward."""
-    top = max(thick * girth, 1.25 * _THIN)
+    top = max(thick * girth, 1.25 * THIN)
     start = at + np.array([0, max(0.62 * girth, top + 0.016), -0.25 * girth])
     foot = rng.uniform(0.14, 0.26) * length
     directions = [towards(-90 + knee, splay), towards(-90 - knee, 0.15 * splay), towards(-8, 0.3 * splay)]
@@ -192,7 +94,7 @@ def _fin(body, rng, name, parent, at, girth, size):
 
 def _arm(body, rng, at, girth, length, thick):
     """Upper arm, forearm and a hand, hanging away from the trunk."""
-    top = max(0.8 * thick * girth, 1.15 * _THIN)
+    top = max(0.8 * thick * girth, 1.15 * THIN)
     start = at + np.array([0, max(0.75 * girth, top), -0.1 * girth])
     out = rng.uniform(25, 60)
     directions = [towards(-95, out), towards(-75, out - 10), towards(-70, out - 15)]
@@ -227,14 +129,14 @@ def _head(body, rng, name, parent, at, skull, twins):
     body.flesh([f"{name}0"], np.stack([centre, centre + np.array([0.1 * skull, 0, 0])]), [skull, 0.95 * skull], wide)
     face = centre + skull * np.array([0.3, 0, -0.2])
     tip = face + rng.uniform(0.9, 2.2) * skull * towards(rng.uniform(-35, -5))
-    body.flesh([f"{name}0"], np.stack([face, tip]), [0.62 * skull, max(skull * rng.uniform(0.35, 0.55), _THIN)])
+    body.flesh([f"{name}0"], np.stack([face, tip]), [0.62 * skull, max(skull * rng.uniform(0.35, 0.55), THIN)])
     kind = rng.choice(["none", "ears", "horns"], p=[0.25, 0.45, 0.3])
     if twins or kind == "none":
         return
     root = centre + skull * np.array([-0.15, 0.5, 0.7])
     if kind == "ears":
         tip = root + rng.uniform(0.6, 2.0) * skull * towards(rng.uniform(70, 115), rng.uniform(15, 50))
-        body.flesh([f"{name}0"], np.stack([root, tip]), [0.046, _THIN], (0.75, 1.0, 1.0))
+        body.flesh([f"{name}0"], np.stack([root, tip]), [0.046, THIN], (0.75, 1.0, 1.0))
     else:
         middle = root + rng.uniform(0.6, 1.1) * skull * towards(95, rng.uniform(20, 45))
         tip = middle + rng.uniform(0.6, 1.3) * skull * towards(rng.uniform(50, 130), rng.uniform(-10, 15))

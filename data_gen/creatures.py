@@ -1,33 +1,22 @@
 """Random species: near-isometric poses of an articulated body that a seed draws, on one triangulation or on many."""
 
-import hashlib
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_array, eye_array, vstack
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from data_gen.cache import cached
-from data_gen.cat_body import Bone
-from data_gen.cat_mesh import (
-    check_resolution,
-    dual_triangles,
-    half_skin,
-    is_sphere,
-    mirrored_mesh,
-    refined,
-    vertex_areas,
-    voronoi,
-    with_normals,
-)
+from data_gen import mesher
+from data_gen.body import Bone
+from data_gen.cache import cached, recipe
 from data_gen.cat_pose import Rig, vertex_normals
-from data_gen.cats import grow_right_half
+from data_gen.cats import SOURCES, grow_right_half
 from data_gen.creature_body import draw_body
+from data_gen.mesher import half_skin, is_sphere
 from data_gen.self_intersection import self_intersections
 from fmsync.checks import checked
-from fmsync.shape import Shape, edges_of_faces
+from fmsync.shape import Shape, edges_of_faces, vertex_areas
 
 _STEP = 0.014  # of the grid on which a body is contoured
 _CLEARANCE = 0.012  # thickening by which no limbs grow together
@@ -63,43 +52,24 @@ def creatures(
 ) -> list[Creature]:
     """Poses of a random species, the same for the same arguments, bit by bit.
 
-    Parameters
-    ----------
-    species
-        Seed of the body plan: two to six limbs, girths, neck, head, tail, ears, horns, fins.
-    count, n_vertices
-        Number of poses and of the vertices of each, 1000 to 30000; vertex v of one corresponds to vertex v of another.
-    seed
-        Draws the poses. Pose k depends neither on ``count`` nor on ``remeshed``.
-    symmetric
-        Keep the left-right symmetry of the resting body exact; otherwise its right half is larger by 2 to 6 %, and in
-        every third species one limb of it by 15 to 35 %.
-    remeshed
-        Give every pose a triangulation of its own: 0.8 to 1.2 ``n_vertices`` vertices in random order.
+    Closed surfaces of genus zero, named ``creature0``, ``creature1``, ...; trunks are about half a unit long. The seed
+    ``species`` draws the body plan: two to six limbs, girths, neck, head, tail, ears, horns, fins; ``seed`` draws the
+    poses, of which number k depends neither on ``count`` nor on ``remeshed``. Each has ``n_vertices``, 1000 to 30000,
+    and vertex v of one corresponds to vertex v of another, unless they are ``remeshed``: then each has a triangulation
+    of its own with 0.8 to 1.2 times as many vertices in random order. The right half is larger by 2 to 6 %, and in
+    every third species one limb of it by 15 to 35 %, unless ``symmetric``.
 
-    Returns
-    -------
-    list[Creature]
-        Closed surfaces of genus zero, named ``creature0``, ``creature1``, ...; trunks are about half a unit long.
-
-    Examples
-    --------
     >>> first, second = creatures(species=3, count=2, n_vertices=1000)
     >>> first.name, first.vertices.shape, (first.faces == second.faces).all()
     ('creature0', (1000, 3), np.True_)
     """
-    check_resolution(n_vertices)
+    mesher.check_resolution(n_vertices)
     kind = f"{'symmetric' if symmetric else 'asymmetric'}{'-remeshed' * remeshed}"
-    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{_recipe()}"
+    key = (
+        f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{recipe(*SOURCES, 'creature_body.py', 'creatures.py')}"
+    )
     made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed))
     return [Creature(name=f"creature{k}", **{field: made[f"{field}{k}"] for field in _ARRAYS}) for k in range(count)]
-
-
-def _recipe() -> str:
-    """Changes whenever the code that makes creatures does, so that an old cache is not read by a new version."""
-    folder = Path(__file__).parent
-    sources = ("cat_body", "cat_mesh", "cat_pose", "cats", "creature_body", "creatures", "self_intersection")
-    return hashlib.sha256(b"".join((folder / f"{name}.py").read_bytes() for name in sources)).hexdigest()[:12]
 
 
 def _build(species, count, n_vertices, seed, symmetric, remeshed):
@@ -137,11 +107,12 @@ def _at_rest(species, n_vertices):
     else:
         raise ValueError(f"species = {species}: none of {_DRAWS} body plans is a sphere; try another seed")
     for attempt in range(_DRAWS):
-        points, triangles = refined(half, 4 * (1 + attempt // 4) * n_vertices)
+        points, triangles = mesher.refined(half, 4 * (1 + attempt // 4) * n_vertices)
         normals = vertex_normals(points, triangles)
         normals[points[:, 1] == 0, 1] = 0
         rng = np.random.default_rng([species, attempt])
-        vertices, faces, mirror = mirrored_mesh(body.skin, points, triangles, normals, n_vertices, _LLOYD_STEPS, rng)
+        samples = points, triangles, normals
+        vertices, faces, mirror = mesher.mirrored_mesh(body.skin, samples, n_vertices, _LLOYD_STEPS, rng)
         if is_sphere(faces, n_vertices) and not _has_folds(vertices, faces):
             return body, vertices, faces, mirror
     raise ValueError(f"species = {species}: no closed mesh of {n_vertices} vertices; ask for more")
@@ -189,12 +160,8 @@ def _posed(rig, body, rng, name):
     stems = [bone.name.rstrip("0123456789") for bone in body.bones]
     signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
     tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
-    for attempt in range(_DRAWS):
-        ease = _EASE**attempt
-        vertices = rig.pose(body.pose(rng, ease), ease * tone)
-        if len(self_intersections(vertices, rig.faces)) == 0:
-            return vertices
-    raise ValueError(f"{name}: {_DRAWS} draws of its pose all pass through themselves; try another seed")
+    eases = (_EASE**attempt for attempt in range(_DRAWS))
+    return rig.first_free(((body.pose(rng, ease), ease * tone) for ease in eases), name)
 
 
 def _subdivisions(faces, mirror):
@@ -225,13 +192,13 @@ def _remeshed(vertices, faces, levels, n_vertices, rng):
     for _ in range(_DRAWS):
         n = round(n_vertices * rng.uniform(0.8, 1.2))
         edge = np.sqrt(areas.sum() / n * 2 / np.sqrt(3))
-        labels, sites = voronoi(vertices, areas, normals, none, 0, n, edge, _LLOYD_STEPS, rng)
+        features = mesher.with_normals(vertices, normals, edge)
+        labels, sites = mesher.voronoi(features, areas, none, (0, n), _LLOYD_STEPS, rng)
         away = np.lexsort((np.linalg.norm(vertices - sites[labels], axis=1), labels))
         common = rng.permutation(away[np.unique(labels[away], return_index=True)[1]])  # in each cell the point nearest
-        features = with_normals(vertices, normals, edge)
         located = cKDTree(features[common]).query(features)[1]
         own = vertices[common]
-        triangles = rng.permutation(dual_triangles(located[faces]))
+        triangles = rng.permutation(mesher.dual_triangles(located[faces]))
         if is_sphere(triangles, n) and len(self_intersections(own, triangles)) == 0:
             return own, triangles, common, levels[-1][2][common], located
     raise ValueError(f"no closed mesh of {n_vertices} vertices for a pose; ask for more")

@@ -18,8 +18,6 @@ from fmsync.shape import Shape
 def fingerprint(shape: Shape) -> dict[str, int | str]:
     """Counts and digests of one shape.
 
-    Examples
-    --------
     >>> one = Shape([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> turned = Shape(one.vertices, [[2, 1, 0]])
     >>> fingerprint(one) == fingerprint(turned)
@@ -41,8 +39,6 @@ def same_triangulation(first: Shape, second: Shape) -> str | None:
     ``"reoriented"`` says that they are the same triples of vertices, listed in another order or facing another way, as
     in the TOSCA horses: maps between the shapes are not touched by that, signed quantities are.
 
-    Examples
-    --------
     >>> one = Shape([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> same_triangulation(one, Shape(one.vertices, [[1, 0, 2]]))
     'reoriented'

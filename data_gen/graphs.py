@@ -10,25 +10,10 @@ from fmsync.checks import checked
 def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Generator = 0) -> nx.Graph:
     r"""Connected graph with ``round(density * N (N - 1) / 2)`` edges: a random labelled tree plus random other pairs.
 
-    The tree is uniform among all labelled trees, so that no edge is favoured; dense graphs are as good as uniform.
+    The tree is uniform among all labelled trees, so that no edge is favoured; dense graphs are as good as uniform. On
+    nodes 0..N-1, N >= 2; ``density`` is a share of all pairs in (0, 1], at least 2 / N to connect them (ValueError).
+    ``graph.graph["density"]`` holds it, and ``graph.graph["achieved_density"]`` what rounding left of it.
 
-    Parameters
-    ----------
-    n_nodes
-        Number of shapes N >= 2.
-    density
-        Share of all pairs in (0, 1], at least 2 / N to connect them (ValueError); 1 is the complete graph.
-    rng
-        Seed or generator.
-
-    Returns
-    -------
-    networkx.Graph
-        Nodes 0..N-1; ``graph.graph["density"]`` holds the density asked for and ``graph.graph["achieved_density"]``
-        the one that rounding left.
-
-    Examples
-    --------
     >>> import data_gen
     >>> graph = data_gen.random_graph(4, density=5 / 6, rng=0)
     >>> graph.number_of_edges(), round(graph.graph["achieved_density"], 3)
@@ -39,15 +24,13 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
     n_pairs = n_nodes * (n_nodes - 1) // 2
     n_edges = round(density * n_pairs)
     if n_edges < n_nodes - 1:
-        least = (n_nodes - 1) / n_pairs
-        raise ValueError(
-            f"density: {density} gives {n_edges} edges, but connecting {n_nodes} nodes takes {n_nodes - 1}; "
-            f"ask for at least {least:.4g}"
-        )
+        least = f"ask for at least {(n_nodes - 1) / n_pairs:.4g}"
+        raise ValueError(f"density: {n_edges} edges, but connecting {n_nodes} nodes takes {n_nodes - 1}; {least}")
     rng = np.random.default_rng(rng)
     graph = nx.complete_graph(n_nodes) if n_edges == n_pairs else nx.empty_graph(n_nodes)
     if n_edges < n_pairs:
-        chosen = {tuple(sorted(edge)) for edge in _random_tree(n_nodes, rng)}
+        tree = nx.from_prufer_sequence(rng.integers(n_nodes, size=n_nodes - 2).tolist())  # any is as likely
+        chosen = {tuple(sorted(edge)) for edge in tree.edges}
         while len(chosen) < n_edges:
             for i, j in rng.integers(n_nodes, size=(2 * (n_edges - len(chosen)), 2)).tolist():
                 if i != j and len(chosen) < n_edges:
@@ -63,8 +46,6 @@ def graph_edges(graph: nx.Graph) -> np.ndarray:
 
     Raises a ValueError when the nodes are not 0..N-1 or the graph is disconnected (naming the components).
 
-    Examples
-    --------
     >>> import networkx as nx, data_gen
     >>> data_gen.graph_edges(nx.path_graph(3)).tolist()
     [[0, 1], [1, 2]]
@@ -75,10 +56,3 @@ def graph_edges(graph: nx.Graph) -> np.ndarray:
         parts = [sorted(part)[:8] for part in nx.connected_components(graph)]
         raise ValueError(f"graph: falls into {len(parts)} components {parts[:6]}; every shape must be reachable")
     return np.array(sorted(tuple(sorted(edge[:2])) for edge in graph.edges), dtype=np.int64)
-
-
-def _random_tree(n_nodes: int, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Uniform labelled tree: the decoding of a random Prüfer sequence."""
-    if n_nodes == 2:
-        return [(0, 1)]
-    return list(nx.from_prufer_sequence(rng.integers(n_nodes, size=n_nodes - 2).tolist()).edges)

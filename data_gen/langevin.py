@@ -17,8 +17,6 @@ _CHUNK = 512
 def langevin_noise(n: int, kappa: float, size: int, rng: int | np.random.Generator = 0) -> np.ndarray:
     """Rotations (size, n, n) around the identity with concentration kappa >= 0; 0 is Haar.
 
-    Examples
-    --------
     >>> noise = langevin_noise(4, 30.0, 500, rng=0)
     >>> bool(abs(np.trace(noise, axis1=1, axis2=2).mean() - 3.90) < 0.02)
     True

@@ -34,31 +34,20 @@ def perturb(
     outliers: float = 0.0,
     outlier_kind: str = "haar",
 ) -> SyncProblem:
-    r"""Observe every map of the truth through noise; the paper's by default.
+    r"""Observe every map of the truth through noise; the paper's by default. Seed or generator are recorded.
 
-    Parameters
-    ----------
-    sigma2, kappa
-        Noise variance per entry, >= 0, of the two Gaussian families (at n = 20 the paper's noise makes maps nearly
-        random from 1 on); in its place the concentration of the Langevin family.
-    rng
-        Seed or generator; either is recorded.
-    noise
-        ``"projected-gaussian"``: :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`, the paper's. ``"tangent-gaussian"``:
-        :math:`C_{ij}\exp(\sigma\,\mathrm{skew}\,G)`, the same to first order. ``"langevin"``: :math:`C_{ij}Z` with
-        density :math:`\propto\exp(\kappa\operatorname{tr}Z)`, exact draws. G has standard normal entries.
-    two_way, repeats
-        Observe (j, i) as well, and every (directed) pair so often, each with noise of its own.
-    around
-        ``"consistent"``: noise around C_i^T C_j; ``"measured"``: around the maps measured on the shapes, so that their
-        model error is part of the problem.
-    outliers, outlier_kind
-        Share in [0, 1) of the observations that is replaced, exactly ``round(outliers * E)`` of them and listed in
-        ``provenance["outlier_edges"]``; ``"haar"``: by uniformly random rotations; ``"flip"``: by the left–right
-        mirrored map :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
+    * ``noise``: ``"projected-gaussian"``, :math:`\mathrm{proj}_{SO(n)}(C_{ij} + \sigma G)`, the paper's;
+      ``"tangent-gaussian"``, :math:`C_{ij}\exp(\sigma\,\mathrm{skew}\,G)`, the same to first order; ``"langevin"``,
+      :math:`C_{ij}Z` with density :math:`\propto\exp(\kappa\operatorname{tr}Z)`, exact draws. G is standard normal.
+    * ``sigma2``, ``kappa``: noise variance per entry, >= 0, of the two Gaussian families (at n = 20 the paper's noise
+      makes maps nearly random from 1 on); in its place the concentration of the Langevin family.
+    * ``two_way``, ``repeats``: observe (j, i) as well, and every (directed) pair so often, each with its own noise.
+    * ``around``: ``"consistent"``, noise around C_i^T C_j; ``"measured"``, around the maps measured on the shapes, so
+      that their model error is part of the problem.
+    * ``outliers``, ``outlier_kind``: share in [0, 1) of the observations that is replaced, exactly ``round(outliers *
+      E)`` of them and listed in ``provenance["outlier_edges"]``; ``"haar"``: by uniformly random rotations; ``"flip"``:
+      by the left–right mirrored map :math:`C_i^\top F C_j`, noisy like the rest (needs ``truth.flip``).
 
-    Examples
-    --------
     >>> import data_gen
     >>> truth = data_gen.planted(4, 5)
     >>> data_gen.perturb(truth, sigma2=0.1, rng=0, two_way=True).n_edges

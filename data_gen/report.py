@@ -18,17 +18,11 @@ def collection_report(
     """Measure N >= 3 shapes that share their triangulation; plain JSON values, nothing of the meshes.
 
     ``bases`` may hold bases computed before, of at least n = ``n_basis`` functions, signs as the solver gave them.
+    Returns ``edge_distortion`` (N (N-1)/2,), ``eigenvalues`` (N, n); ``cycle_error``, the mean over 3-cycles of the
+    maps of all ordered pairs ``raw``, projected to SO(n) edge by edge (``projected``), and projected after one flip a
+    shape (``signs fixed``); ``negative``, the share of negative determinants ``before`` and ``after``; ``determinants``
+    (N (N-1),) after sign fixing.
 
-    Returns
-    -------
-    dict
-        ``edge_distortion`` (N (N-1)/2,), ``eigenvalues`` (N, n); ``cycle_error``, the mean over 3-cycles of the
-        maps of all ordered pairs ``raw``, projected to SO(n) edge by edge (``projected``), and projected after one
-        flip a shape (``signs fixed``); ``negative`` the share of negative determinants ``before`` and ``after``;
-        ``determinants`` (N (N-1),) after sign fixing.
-
-    Examples
-    --------
     >>> from data_gen import load_collection
     >>> report = collection_report(load_collection("cats", count=3, n_vertices=1000), n_basis=8)
     >>> report["cycle_error"]["signs fixed"] < report["cycle_error"]["raw"] + 1
@@ -57,18 +51,9 @@ def collection_report(
 def edge_distortion(shapes: Sequence[Shape]) -> np.ndarray:
     r"""Mean \|log edge-length ratio\| of every pair of shapes, each scaled to unit area: 0 for isometric ones.
 
-    Returns
-    -------
-    numpy.ndarray
-        (N (N - 1) / 2,) in the order of ``itertools.combinations``, dimensionless.
+    (N (N - 1) / 2,) in the order of ``itertools.combinations``, dimensionless. A ValueError where shapes differ in
+    their triangles, whatever the orientation of these.
 
-    Raises
-    ------
-    ValueError
-        The shapes differ in their triangles, whatever the orientation of these.
-
-    Examples
-    --------
     >>> tent = Shape(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=[[0, 1, 2]], name="tent")
     >>> edge_distortion([tent, tent])
     array([0.])

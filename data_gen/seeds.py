@@ -14,8 +14,6 @@ def seed(number: int) -> int:
     What a chapter claims must not depend on its seeds. Tests run it with other ones: they set the environment variable
     ``FMSYNC_SEED_SHIFT`` to an integer (ValueError otherwise), which is added here, modulo :math:`2^{32}`.
 
-    Examples
-    --------
     >>> from data_gen import seed
     >>> seed(3) - seed(2)
     1
@@ -24,6 +22,5 @@ def seed(number: int) -> int:
     try:
         return (number + int(shift)) % 2**32
     except ValueError:
-        raise ValueError(
-            f"{_VARIABLE}={shift!r}: expected an integer, such as 1000; unset it for the book's own seeds"
-        ) from None
+        told = "expected an integer, such as 1000; unset it for the book's own seeds"
+        raise ValueError(f"{_VARIABLE}={shift!r}: {told}") from None

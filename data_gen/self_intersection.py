@@ -9,8 +9,6 @@ def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     Pairs that share an edge are not tested; of pairs that share a vertex the edge opposite to it is.
 
-    Examples
-    --------
     >>> flat, upright = [[0, 0, 0], [2, 0, 0], [0, 2, 0]], [[0.5, 0.5, -1], [0.5, 0.5, 1], [0.6, 0.5, 1]]
     >>> self_intersections(np.array(flat + upright, dtype=float), np.array([[0, 1, 2], [3, 4, 5]]))
     array([[0, 1]])

@@ -30,22 +30,11 @@ TREES = ("depth-first", "breadth-first", "minimum-distortion")
 class GroundTruth:
     """What a problem was planted with. Estimators never see it.
 
-    Attributes
-    ----------
-    absolute
-        (N, n, n) rotations with C_1 = I.
-    edges
-        (E, 2).
-    measured_maps
-        (E, n, n) rotations nearest to the maps measured on the shapes after sign fixing; not exactly consistent. For a
-        truth without shapes, equal to ``maps``.
-    bases
-        The sign-fixed Laplace–Beltrami bases, N of them, or () for a truth without shapes.
-    flip
-        (n, n) the left–right mirror map in the universe, an orthogonal involution up to discretisation, or None. The
-        mirrored maps are C_i^T F C_j.
-    provenance
-        Plain JSON values that say how it was made.
+    ``absolute`` (N, n, n) are rotations with C_1 = I; ``measured_maps`` (E, n, n), of the ``edges`` (E, 2), the
+    rotations nearest to the maps measured on the shapes after sign fixing, not exactly consistent, without shapes equal
+    to ``maps``; ``bases`` the N sign-fixed Laplace–Beltrami bases, or (); ``flip`` (n, n) the left–right mirror map F
+    in the universe, an orthogonal involution up to discretisation, or None: mirrored maps are C_i^T F C_j;
+    ``provenance`` plain JSON values that say how it was made.
     """
 
     absolute: np.ndarray
@@ -87,28 +76,17 @@ def ground_truth(
     point_maps: Mapping[tuple[int, int], np.ndarray] | None = None,
     flip: np.ndarray | None = None,
 ) -> GroundTruth:
-    """Ground-truth maps of a collection whose shapes share one vertex order.
+    """Ground-truth maps of a collection whose N shapes share one vertex order, on a connected ``graph`` of 0..N-1.
 
-    Parameters
-    ----------
-    shapes
-        N shapes; vertex v of every shape is the same point of the body, unless ``point_maps`` says otherwise.
-    graph
-        Connected graph on nodes 0..N-1.
-    n_basis, bases
-        Number n of Laplace–Beltrami eigenfunctions, and bases of at least as many to be used instead of one's own
-        computed here, which stay in the cache of this machine.
-    tree
-        ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection changed
-        least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in the
-        order of their numbers.
-    point_maps
-        For every edge (i, j) the vertex of j for each vertex of i, (V_i,): for shapes without a common vertex order.
-    flip
-        (V,) the mirror image of every vertex of the first shape, where the collection has a left–right symmetry.
+    * ``n_basis``, ``bases``: number n of Laplace–Beltrami eigenfunctions, and bases of at least as many to be used
+      instead of those computed here, which stay in the cache of this machine.
+    * ``tree``: ``"depth-first"`` (the paper), ``"breadth-first"`` or ``"minimum-distortion"`` (edges that projection
+      changed least): the spanning tree from shape 0 along which absolute maps are multiplied; neighbours are visited in
+      the order of their numbers.
+    * ``point_maps``: for every edge (i, j) the vertex of j for each vertex of i, (V_i,), of shapes without a common
+      vertex order.
+    * ``flip``: (V,) the mirror image of every vertex of the first shape, where there is a left–right symmetry.
 
-    Examples
-    --------
     >>> import networkx as nx, pyvista as pv, data_gen, fmsync
     >>> ball = pv.ParametricEllipsoid(1.0, 0.8, 0.6, u_res=20, v_res=20, w_res=20).triangulate().clean()
     >>> shape = fmsync.Shape(ball.points, ball.regular_faces, "ellipsoid")
@@ -219,8 +197,6 @@ def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.r
 
     Scales to thousands of nodes: give a sparse graph. Its mirror map ``flip`` flips the sign of half of the functions.
 
-    Examples
-    --------
     >>> import data_gen
     >>> data_gen.planted(5, 3, rng=0).maps.shape
     (10, 3, 3)

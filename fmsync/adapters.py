@@ -90,8 +90,6 @@ def from_pyfm_maps(maps: Mapping[tuple[int, int], np.ndarray]) -> SyncProblem:
     (pass ``area_normalize=True`` to ``TriMesh``); a ValueError names the first map that is not square or of another
     size than the rest.
 
-    Examples
-    --------
     >>> from_pyfm_maps({(0, 1): np.eye(3), (1, 2): np.eye(3)}).edges.tolist()
     [[1, 0], [2, 1]]
     """
@@ -155,8 +153,6 @@ def from_networkx(graph: nx.DiGraph) -> SyncProblem:
 
     Nodes may have any names; shape k is the k-th of ``graph.nodes``. A ValueError names an edge without a map.
 
-    Examples
-    --------
     >>> graph = nx.DiGraph()
     >>> graph.add_edge("cat", "dog", map=np.eye(3))
     >>> from_networkx(graph).n_nodes

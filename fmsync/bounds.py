@@ -33,8 +33,6 @@ def effective_resistance(
     Returns (K,) for ``pairs`` (K, 2), the edges by default, of a connected graph whose repeated edges are parallel
     conductors; ``weights`` (E,) are conductances, ones by default. It is 2/N for every pair of a complete graph.
 
-    Examples
-    --------
     >>> effective_resistance(3, [[0, 1], [1, 2], [0, 2]]).round(4)
     array([0.6667, 0.6667, 0.6667])
     """
@@ -60,14 +58,10 @@ def relative_error_bound(
 ) -> np.ndarray:
     r"""Cramér–Rao bound :math:`E\lVert\hat C_{ij} - C_{ij}\rVert_F^2 \ge d\,\sigma^2 R_{ij}` of unbiased estimators.
 
-    For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. A
-    bound of small errors: the group is bounded, the line is not. :func:`is_small_error` says of which pairs it holds.
+    For maps observed with Gaussian noise of variance σ² per entry; d = n(n-1)/2 and R is the effective resistance. It
+    holds where errors are small, see :func:`is_small_error`. Returns (K,) lower bounds of the mean *squared* Frobenius
+    error for ``pairs`` (K, 2), the edges by default, of a connected graph with one observation per edge.
 
-    Returns (K,) lower bounds of the mean *squared* Frobenius error for ``pairs`` (K, 2), the edges by default, of a
-    connected graph with one observation of a map (n, n) per edge.
-
-    Examples
-    --------
     >>> import fmsync
     >>> fmsync.relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
     array([0.02, 0.02, 0.02])
@@ -82,8 +76,6 @@ def is_small_error(n: int, squared: np.ndarray | float) -> np.ndarray:
     2n is the mean squared distance of unrelated maps. On a path of L edges the exact error is :math:`2n(1-c^L)`, c the
     mean cosine E tr Z / n of the noise, which is 5 % below the bound where that is a tenth of 2n, and 18 % at .42.
 
-    Examples
-    --------
     >>> is_small_error(15, [0.5, 12.6])
     array([ True, False])
     """
@@ -97,12 +89,9 @@ def langevin_error_bound(
     r"""Cramér–Rao bound :math:`d\,R_{ij} / (\kappa\beta_n(\kappa))` under matrix-Langevin noise.
 
     :math:`\kappa\beta_n(\kappa)` is the Fisher information of one observation per dimension of SO(n), d = n(n-1)/2;
-    :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`.
+    :math:`\beta_n` is :func:`fmsync.langevin.mean_cosine`. ``kappa`` is the concentration of the observations, in
+    (0, 1e5]; all else as in :func:`relative_error_bound`.
 
-    ``kappa`` is the concentration of the observations, in (0, 1e5]; all else as in :func:`relative_error_bound`.
-
-    Examples
-    --------
     >>> langevin_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, kappa=100.0).round(4)
     array([0.0201, 0.0201, 0.0201])
     """
@@ -117,12 +106,9 @@ def expected_rms_error(
     r"""Root-mean-square error to expect of the Frobenius MLE under the paper's noise, :math:`d\sqrt{R_{ij}/w_F}`.
 
     :math:`w_F = \left(\tfrac{n-1}{2}E\operatorname{tr}Z\right)^2 / E\lVert\mathrm{skew}\,Z\rVert_F^2` for
-    Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error.
+    Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error; all
+    else as in :func:`relative_error_bound`, but not squared.
 
-    Parameters and result (K,) are those of :func:`relative_error_bound`, but not squared.
-
-    Examples
-    --------
     >>> import fmsync, networkx as nx
     >>> float(fmsync.expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
     0.6
@@ -138,12 +124,8 @@ def expected_rms_error(
 @checked(sigma2=checks.not_negative)
 @cache
 def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMPLES) -> tuple[float, float]:
-    r"""Moments (:math:`E\operatorname{tr}Z`, :math:`E\lVert\mathrm{skew}\,Z\rVert_F^2`) of the paper's noise.
+    r"""(:math:`E\operatorname{tr}Z`, :math:`E\lVert\mathrm{skew}\,Z\rVert_F^2`) of Z = proj(I + σG), by a fixed sample.
 
-    Z = proj(I + σG), averaged over a fixed sample.
-
-    Examples
-    --------
     >>> round(projected_noise_moments(20, 0.2)[0] / 20, 2)
     0.41
     """
@@ -154,12 +136,8 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
 
 @checked(n_nodes=">= 2", n_observations=checks.positive)
 def recovery_cosine(n_nodes: int, n_observations: float) -> float:
-    r"""Mean cosine E tr Z / n of the noise below which E observations between N nodes are expected to say little.
+    r"""Mean cosine :math:`1/\sqrt{2E/(N-1) + 1}` of the noise below which E observations between N nodes say little.
 
-    :math:`1/\sqrt{2E/(N-1) + 1}`, see :func:`recovery_threshold`.
-
-    Examples
-    --------
     >>> recovery_cosine(3, 3)
     0.5
     """
@@ -172,13 +150,9 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, den
 
     Where the mean cosine E tr Z / n of the noise falls to :math:`1/\sqrt{k\rho N + 1}`, k observations for each of a
     fraction ρ of the pairs: there the leading eigenvectors of the connection matrix drown in its bulk (a heuristic from
-    random matrices). In the limit of many nodes message passing, conjectured to be the best that can be computed,
-    starts to recover there, too (Perry et al. 2018, for Gaussian observations of equal signal and noise).
+    random matrices), and message passing starts to recover in the limit of many nodes (Perry et al. 2018, for Gaussian
+    observations of equal signal and noise). Infinity when even σ² = 100 stays above it.
 
-    Infinity when even σ² = 100 stays above it.
-
-    Examples
-    --------
     >>> import fmsync
     >>> 0.35 < fmsync.bounds.recovery_threshold(11, 20) < 0.5
     True

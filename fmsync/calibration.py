@@ -30,8 +30,7 @@ def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
 def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     r"""p-value of the :math:`\chi^2` test that ranks (P,) among ``n_draws`` draws are uniform.
 
-    Small when the sampler, the likelihood or its temperature is wrong. The expected count of a bin takes into account
-    how many of the ``n_draws + 1`` possible ranks fall in it.
+    Bins expect as many as their share of the ``n_draws + 1`` possible ranks.
     """
     ranks = np.asarray(ranks, dtype=float)
     if ranks.ndim != 1 or len(ranks) < 5 * bins:
@@ -60,8 +59,7 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
-    ``levels`` (P, M) are results of :func:`ball_level` for M maps of P problems. Maps of one problem share its noise:
-    the error is that of a mean of P problem means.
+    ``levels`` (P, M) are results of :func:`ball_level` for M maps of P problems; the error is that of P problem means.
     """
     levels = np.asarray(levels, dtype=float)
     if levels.ndim != 2 or len(levels) < 2:
@@ -99,8 +97,6 @@ def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     of two hundred draws that are evenly spread over those given. For draws (T, n, n) and truth (n, n), or (T, K, n, n)
     and (K, n, n) of K maps, whose scores are averaged.
 
-    Examples
-    --------
     >>> energy_score(np.stack([np.eye(3)] * 5), np.eye(3))
     0.0
     """

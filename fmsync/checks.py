@@ -103,9 +103,8 @@ def _apply(rule: Callable[[str, Any], Any], name: str, value: Any, sizes: Sizes)
 
 def _with_sizes(value: Any, sizes: Sizes) -> Any:
     problem = getattr(value, "problem", value)
-    sizes.update(
-        {k: getattr(problem, field) for k, field in _SIZES.items() if isinstance(getattr(problem, field, 0.5), int)}
-    )
+    told = {letter: getattr(problem, field, None) for letter, field in _SIZES.items()}
+    sizes.update({letter: size for letter, size in told.items() if isinstance(size, int)})
     return value
 
 
@@ -235,45 +234,23 @@ def flag(name: str, value: object) -> bool:
 
 def _number(name: str, value: object, what: str, holds: Callable[[float], bool]) -> float:
     value = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, Real)
-        or not np.isfinite(float(value))
-        or not holds(float(value))
-    ):
+    if isinstance(value, bool) or not (isinstance(value, Real) and np.isfinite(float(value)) and holds(float(value))):
         raise ValueError(f"{name}: {what}, got {value!s}")
     return float(value)
 
 
-def number(name: str, value: object) -> float:
-    """A finite number."""
-    return _number(name, value, "must be a finite number", lambda x: True)
+# of a name and a value: a finite number, as a float
+number = functools.partial(_number, what="must be a finite number", holds=lambda x: True)
+positive = functools.partial(_number, what="must be finite and > 0", holds=lambda x: x > 0)
+not_negative = functools.partial(_number, what="must be finite and >= 0", holds=lambda x: x >= 0)
+probability = functools.partial(_number, what="must lie strictly between 0 and 1", holds=lambda x: 0 < x < 1)
+share = functools.partial(_number, what="must lie in (0, 1]", holds=lambda x: 0 < x <= 1)
 
 
 def count(name: str, value: object, least: int = 1) -> int:
     """A whole number >= ``least``."""
     whole = _number(name, value, f"an integer >= {least}", lambda x: x == int(x) and x >= least)
     return int(value) if isinstance(value, int | np.integer) else int(whole)
-
-
-def positive(name: str, value: object) -> float:
-    """A finite number > 0."""
-    return _number(name, value, "must be finite and > 0", lambda x: x > 0)
-
-
-def not_negative(name: str, value: object) -> float:
-    """A finite number >= 0."""
-    return _number(name, value, "must be finite and >= 0", lambda x: x >= 0)
-
-
-def probability(name: str, value: object) -> float:
-    """A number strictly between 0 and 1."""
-    return _number(name, value, "must lie strictly between 0 and 1", lambda x: 0 < x < 1)
-
-
-def share(name: str, value: object) -> float:
-    """A number > 0 and at most 1."""
-    return _number(name, value, "must lie in (0, 1]", lambda x: 0 < x <= 1)
 
 
 def shares(name: str, value: object) -> np.ndarray:
@@ -354,11 +331,10 @@ def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     graph.add_edges_from(array.tolist())
     if not nx.is_connected(graph):
         parts = [sorted(part) for part in nx.connected_components(graph)]
-        shown = "; ".join(str(part[:8])[1:-1] + (" ..." if len(part) > 8 else "") for part in parts[:6])
-        raise ValueError(
-            f"edges: the graph falls into {len(parts)} components ({shown}{' ...' if len(parts) > 6 else ''}); "
-            "add edges between them or solve each on its own"
-        )
+        shown = [str(part[:8])[1:-1] + " ..." * (len(part) > 8) for part in parts[:6]]
+        told = "; ".join(shown) + " ..." * (len(parts) > 6)
+        todo = "add edges between them or solve each on its own"
+        raise ValueError(f"edges: the graph falls into {len(parts)} components ({told}); {todo}")
     return array
 
 

@@ -51,8 +51,6 @@ class Summary:
     All (K,): ``mean`` and ``sd`` in the unit of each scalar, rank-normalised split ``r_hat`` (:func:`rhat`), effective
     sample sizes ``ess_bulk`` and ``ess_tail`` (:func:`ess`) in draws.
 
-    Examples
-    --------
     >>> one = np.ones(1)
     >>> table = Summary(("energy",), 12.5 * one, 0.25 * one, 1.001 * one, 812.4 * one, 640.2 * one)
     >>> table
@@ -127,8 +125,6 @@ def rhat(values: np.ndarray) -> float:
     Near 1 is necessary, not sufficient; above 1.01 do not trust the draws (Vehtari et al. 2021). NaN for values that
     do not vary or for fewer than four draws.
 
-    Examples
-    --------
     >>> noise = np.random.default_rng(0).standard_normal((4, 500))
     >>> rhat(noise) < 1.01 < rhat(noise + np.arange(4)[:, None])
     True

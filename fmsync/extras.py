@@ -10,11 +10,7 @@ class MissingExtra(ImportError):
 
 
 def require(module: str, extra: str) -> ModuleType:
-    """Import an optional module.
-
-    ``module`` is its full name and ``extra`` the extra of this project that installs it; a :class:`MissingExtra`, which
-    is an ``ImportError``, when it or a module that it imports is not installed.
-    """
+    """Import an optional module by its full name; a :class:`MissingExtra` if it or what it imports is missing."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -23,11 +19,7 @@ def require(module: str, extra: str) -> ModuleType:
 
 
 def require_all(user: str, extra: str, *modules: str) -> None:
-    """Refuse to go on unless every one of some top-level modules can be found; none of them is imported.
-
-    A package that is of no use without an extra calls this before its other imports, so that a missing module is
-    reported at once and not after long work.
-    """
+    """Refuse to go on, before long work, unless all of some top-level modules can be found; none is imported."""
     for module in modules:
         if importlib.util.find_spec(module) is None:
             raise _missing(user, module, extra)

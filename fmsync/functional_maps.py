@@ -18,8 +18,6 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
     Bases hold n_i functions on V_i vertices, and n_j on V_j; ``point_map`` (V_i,) is the vertex of j that each vertex
     of i goes to: P f = f[point_map].
 
-    Examples
-    --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> functional_map(basis, basis, np.array([1, 0]))  # swapping the two vertices flips the second function
     array([[ 1.,  0.],
@@ -42,26 +40,20 @@ def functional_map_from_descriptors(
 ) -> np.ndarray:
     r"""Functional map (n_i, n_j) that takes the descriptors of shape j to those of shape i.
 
-    Minimises, with descriptor coefficients A on i and B on j,
+    Descriptors are functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity. With their
+    coefficients A on i and B on j, and the weight w = ``commutativity`` >= 0, it minimises
 
     .. math:: \lVert C B - A \rVert_F^2 + w \lVert B \rVert_F^2 \sum_{ab}
               \frac{(\lambda^i_a - \lambda^j_b)^2}{\lambda_{\max}^2}\,C_{ab}^2,
 
-    where the second term is small when C commutes with the Laplacians. Both weights are relative, so scaling all
-    descriptors changes nothing; scaling one of them weighs it against the rest.
+    where the second term is small when C commutes with the Laplacians; scaling all descriptors changes nothing. The
+    minimum has a closed form row by row, and directions about which nothing is known are left at zero.
 
-    Free, the minimum has a closed form row by row, and directions about which nothing is known are left at zero. On
-    SO(n) it has one without the second term (orthogonal Procrustes, det +1). With it, the norms ‖CB‖ and ‖C Λ‖ are
-    constant, so it is the maximum of a convex function, reached by projecting its gradient again and again
-    (:math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)` with :math:`w' = w \lVert B \rVert_F^2 /
-    \lambda_{\max}^2`), which never descends and ends in a local maximum.
+    ``orthogonal`` searches SO(n) and needs n_i = n_j. There the norms ‖CB‖ and ‖C Λ‖ are constant and the projection
+    :math:`C \leftarrow \Pi(A B^\top + 2 w' \Lambda_i C \Lambda_j)`, :math:`w' = w \lVert B \rVert_F^2 /
+    \lambda_{\max}^2`, ascends to a local maximum of a convex function. The best rotation is a poor answer when the true
+    map is near a reflection: fix the signs first (:meth:`Basis.with_flipped`).
 
-    Descriptors are functions, (V_i, K) on i and (V_j, K) on j; column k of both is the same quantity; ``commutativity``
-    is the weight w >= 0. ``orthogonal`` searches SO(n) instead of all matrices and needs n_i = n_j. The best rotation
-    is a poor answer when the true map is near a reflection: fix the signs first (:meth:`Basis.with_flipped`).
-
-    Examples
-    --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> functional_map_from_descriptors(basis, basis, np.eye(2), np.eye(2)).round(12)
     array([[1., 0.],
@@ -88,13 +80,9 @@ def functional_map_from_descriptors(
 def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.ndarray | None = None) -> np.ndarray:
     r"""Point map of a functional map: x goes to :math:`\arg\min_y \lVert (\Phi_i C_{ij})_x - (\Phi_j)_y \rVert`.
 
-    An exhaustive search in blocks that stay in the cache, one matrix product each: a search tree is faster on clean
-    maps but several times slower on noisy ones, where nothing can be pruned.
+    Takes (n_i, n_j) to (V_i,) vertices of j, or (v,) for some ``vertices`` (v,) of i. Ties go to the lowest index. An
+    exhaustive search: a tree is several times slower on noisy maps, where nothing can be pruned.
 
-    Takes (n_i, n_j) to (V_i,) vertices of j, or (v,) for some ``vertices`` (v,) of i. Ties go to the lowest index.
-
-    Examples
-    --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> point_map(np.diag([1.0, -1.0]), basis, basis)
     array([1, 0])

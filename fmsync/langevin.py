@@ -31,8 +31,6 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
 
     For n >= 2 and concentrations in [0, 1e5] of any shape; relative error below 1e-12 for n <= 200 and kappa <= 1e4.
 
-    Examples
-    --------
     >>> float(log_normaliser(20, 10.0).round(11))
     50.22636766261
     """

@@ -4,6 +4,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fmsync.shape import edges_of_faces, triangle_areas
+
 _MAIN_SHARE = 0.9  # of the area: a component this large is the shape, the others are debris
 
 
@@ -54,24 +56,19 @@ def _kept(faces: np.ndarray, keep: np.ndarray, what: str, said: list[str]) -> np
     return faces[keep]
 
 
-def _double_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = vertices[faces.T]
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
 def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.ndarray:
     """Refuse flat faces and crowded edges; fins, which hang on such an edge by a free one of their own, are peeled."""
     corners = vertices[faces]
     longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
-    flat = _double_areas(vertices, faces) <= 1e-10 * longest2
+    flat = 2 * triangle_areas(vertices, faces) <= 1e-10 * longest2
     if flat.any():
         raise ValueError(
-            f"face {np.argmax(flat)} has no area, its three corners lie on one line ({flat.sum()} such): remesh it"
+            f"face {np.argmax(flat)} has no area, its corners lie on one line ({flat.sum()} such): remesh it"
         )
     standing = np.ones(len(faces), dtype=bool)
     while True:
-        ends = np.sort(faces[standing][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        codes = ends[:, 0] * len(vertices) + ends[:, 1]  # one number an edge: far quicker to sort than rows
+        # one number an edge: far quicker to sort than rows
+        codes = edges_of_faces(faces[standing]) @ [len(vertices), 1]
         _, label, count = np.unique(codes, return_inverse=True, return_counts=True)
         use = count[label].reshape(-1, 3)  # how many faces share each edge of a face
         crowded = (use > 2).any(axis=1)
@@ -80,10 +77,8 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.nd
             break
         standing[standing] = ~fin
     if crowded.any():
-        raise ValueError(
-            f"an edge of the face on vertices {faces[standing][np.argmax(crowded)].tolist()} belongs to more than two "
-            "faces: the surface is not a manifold there; split or remesh it"
-        )
+        edge = f"an edge of the face on vertices {faces[standing][np.argmax(crowded)].tolist()}"
+        raise ValueError(f"{edge} belongs to more than two faces: not a manifold there; split or remesh it")
     return _kept(faces, standing, "stood as fins on edges with two other faces", said)
 
 
@@ -91,7 +86,7 @@ def _main_component(vertices: np.ndarray, faces: np.ndarray, said: list[str]) ->
     links = np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())
     graph = coo_array(links, shape=(len(vertices), len(vertices)))
     of_face = connected_components(graph, directed=False)[1][faces[:, 0]]
-    count, area = len(np.unique(of_face)), np.bincount(of_face, _double_areas(vertices, faces))
+    count, area = len(np.unique(of_face)), np.bincount(of_face, triangle_areas(vertices, faces))
     if count == 1:
         return faces
     share = area.max() / area.sum()

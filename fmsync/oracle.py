@@ -12,19 +12,14 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     r"""Oracle accuracy against the number of samples.
 
     Draws and truth are gauged to C_1 = I. For every entry of every true map the oracle takes, among the first k draws,
-    the entry closest to it; Ĉ_i holds these, and
-
-    .. math:: \mathrm{Acc} = \frac{1}{N}\sum_i \frac{1}{1 + \lVert C_i - \hat C_i\rVert_F}.
-
-    The first map counts with accuracy 1 whatever was sampled, and n² separate searches are won by any sampler that
-    scatters widely enough: the number separates samplers poorly.
+    the entry closest to it; Ĉ_i holds these, and :math:`\mathrm{Acc} = \frac{1}{N}\sum_i 1 / (1 + \lVert C_i - \hat
+    C_i\rVert_F)`. The first map counts with accuracy 1 whatever was sampled, and n² separate searches are won by any
+    sampler that scatters widely enough: the number separates samplers poorly.
 
     ``draws`` (K, N, n, n) are absolute maps in any gauge (``post.absolute.reshape(-1, N, n, n)``), not necessarily
     rotations, only invertible in the first node; ``truth`` (N, n, n) are rotations. Returns (M,) accuracies in (0, 1],
     never falling, for ``counts`` (M,) of samples, between 1 and K; 1..K by default.
 
-    Examples
-    --------
     >>> truth = so.random_uniform(4, 3, rng=0)
     >>> oracle_accuracy(truth[None], truth).round(6)
     array([1.])

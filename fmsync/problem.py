@@ -28,21 +28,13 @@ _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observa
 class SyncProblem:
     r"""Observed maps C_ij on the edges of a connected graph; arrays are validated, copied and made read-only.
 
-    Parameters
-    ----------
-    n_nodes, edges
-        Number of shapes N >= 2, and (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`. Pairs may repeat and
-        appear in both directions.
-    maps
-        (E, n, n) observations. They need not be orthogonal, but the estimators on SO(n) expect nearly so.
-    weights
-        (E,) positive multiplicities of the terms of the energy; ones by default.
-    provenance
-        Where the problem comes from (collection, seed, protocol, versions): plain JSON values, read by nobody who
-        solves it.
+    * ``n_nodes``, ``edges``: number of shapes N >= 2, and (E, 2) integers; edge (i, j) observes :math:`C_i^\top C_j`.
+      Pairs may repeat and appear in both directions.
+    * ``maps``: (E, n, n) observations. They need not be orthogonal, but the estimators on SO(n) expect nearly so.
+    * ``weights``: (E,) positive multiplicities of the terms of the energy; ones by default.
+    * ``provenance``: where the problem comes from (collection, seed, protocol, versions), plain JSON values, read by
+      nobody who solves it.
 
-    Examples
-    --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     >>> p.n, p.n_edges
@@ -179,9 +171,8 @@ class LangevinPrior:
 def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncProblem:
     r"""The problem with its prior written as observations from one more node, the anchor, held at the identity.
 
-    :math:`\kappa_i\operatorname{tr}(M_i^\top C_i)` is the Langevin log-likelihood of an edge from a node with
-    C = I to node i that observed M_i, relative to the others with weight κ_i/κ. So the maximum a posteriori estimate
-    is a maximum likelihood estimate on N + 1 nodes, gauge fixed at the last one.
+    :math:`\kappa_i\operatorname{tr}(M_i^\top C_i)` is the Langevin log-likelihood of an edge from a node with C = I to
+    node i that observed M_i with weight κ_i/κ.
     """
     check_prior(problem, prior)
     held = np.flatnonzero(prior.kappa)
@@ -235,8 +226,6 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
 
     Returns the path, with ``.npz`` appended if it was missing; the provenance is written, too.
 
-    Examples
-    --------
     >>> import numpy as np, fmsync, pathlib, tempfile
     >>> p = fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None])
     >>> with tempfile.TemporaryDirectory() as folder:

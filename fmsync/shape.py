@@ -28,8 +28,6 @@ class Shape:
     ``vertices`` (V, 3) are positions in any unit, kept as read-only float64; ``faces`` (F, 3) vertex indices, kept as
     read-only int64, None for a point cloud; ``name`` is how messages and figures call the shape.
 
-    Examples
-    --------
     >>> square = Shape([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]], [[0, 1, 2], [0, 2, 3]], name="square")
     >>> square.n_vertices, square.area, square.normalised().area
     (4, 4.0, 1.0)
@@ -56,7 +54,7 @@ class Shape:
         """Sum of the triangle areas, in the square of the vertices' unit; a point cloud has none (ValueError)."""
         if self.faces is None:
             raise ValueError(f"{self.name}: a point cloud has no triangles to sum; laplace_beltrami estimates its area")
-        return float(_triangle_areas(self.vertices, self.faces).sum())
+        return float(triangle_areas(self.vertices, self.faces).sum())
 
     def normalised(self) -> "Shape":
         """The same shape scaled to unit area (ValueError for a point cloud, which has no triangles)."""
@@ -70,8 +68,6 @@ class Basis:
     ``eigenvalues`` (n,) ascend; ``eigenfunctions`` (V, n) are columns Φ with Φᵀ A Φ = I; ``mass`` (V,), the area of
     each vertex, is the diagonal of A and sums to 1.
 
-    Examples
-    --------
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> basis.with_flipped(1).eigenfunctions[:, 1]
     array([-1.,  1.])
@@ -132,18 +128,13 @@ class Basis:
 
 @checked(vertices=checks.real, faces=checks.plain, n_basis=">= 0")
 def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
-    r"""First ``n_basis`` Laplace–Beltrami eigenfunctions of a mesh or point cloud, scaled to unit area.
+    r"""First ``n_basis`` < V Laplace–Beltrami eigenfunctions of a mesh or point cloud (as in :class:`Shape`), area 1.
 
     Solves :math:`K \Phi = A \Phi \Lambda` with the cotangent stiffness K and the lumped (barycentric) mass A. Meshes
     with an edge in more than two faces or a degenerate face, and point clouds, take K and A from the intrinsic-Delaunay
-    Laplacian of Sharp & Crane (2020) instead. The same input gives the same bits; the entry of largest magnitude of
-    each eigenfunction is positive. That rule settles no sign on *another* shape, and on a symmetric shape it is a tie.
+    Laplacian of Sharp & Crane (2020), an ImportError without the extra ``shapes``. The same input gives the same bits;
+    the entry of largest magnitude of each eigenfunction is positive, which on a symmetric shape is a tie.
 
-    For ``vertices`` and ``faces`` as in :class:`Shape`, and 1 <= ``n_basis`` < V. An ImportError where the
-    intrinsic-Delaunay Laplacian is needed without the extra ``shapes``.
-
-    Examples
-    --------
     >>> vertices = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
     >>> faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     >>> laplace_beltrami(vertices, faces, 4).eigenvalues.round(6)  # an octahedron: 0, then a triple eigenvalue
@@ -160,10 +151,8 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     stiffness, mass = _laplacian(vertices, faces)
     n_components, label = connected_components(stiffness, directed=False)
     if n_components > 1:
-        raise ValueError(
-            f"the surface has {n_components} components; vertex {np.argmax(label != label[0])} is not connected to "
-            "vertex 0: keep one component"
-        )
+        apart = f"vertex {np.argmax(label != label[0])} is not connected to vertex 0"
+        raise ValueError(f"the surface has {n_components} components; {apart}: keep one component")
     if not mass.min() > 0:
         raise ValueError(f"vertex {mass.argmin()} has no area around it (a duplicate point?): remove it")
     mass = mass / mass.sum()  # K does not change under scaling, so this alone is the normalisation to unit area
@@ -207,7 +196,7 @@ def _is_clean(vertices: np.ndarray, faces: np.ndarray) -> bool:
     edges = edges_of_faces(faces)
     _, n_faces = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
     squared = ((vertices[edges[:, 0]] - vertices[edges[:, 1]]) ** 2).sum(axis=1).reshape(-1, 3)  # (F, 3)
-    fat_enough = _triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)
+    fat_enough = triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)
     return bool(n_faces.max() <= 2 and fat_enough.all())
 
 
@@ -215,7 +204,7 @@ def _cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[spars
     """K_ab = −(cot α + cot β) / 2 over the two angles that face edge ab; A_aa = a third of the faces around a."""
     n_vertices = len(vertices)
     sides = vertices[faces[:, [2, 0, 1]]] - vertices[faces[:, [1, 2, 0]]]  # (F, 3, 3): side c faces corner c
-    areas = _triangle_areas(vertices, faces)  # (F,)
+    areas = triangle_areas(vertices, faces)  # (F,)
     cosines = -np.einsum("fcx,fcx->fc", np.roll(sides, -1, axis=1), np.roll(sides, -2, axis=1))
     half_cotangents = (cosines / (4 * areas[:, None])).ravel()  # (3F,), of the angle at corner c
 
@@ -223,8 +212,14 @@ def _cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[spars
     rows, columns = np.concatenate([a, b, a, b]), np.concatenate([b, a, a, b])
     weights = np.concatenate([-half_cotangents, -half_cotangents, half_cotangents, half_cotangents])
     stiffness = sparse.coo_array((weights, (rows, columns)), shape=(n_vertices, n_vertices)).tocsr()
-    mass = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), minlength=n_vertices)
-    return stiffness, mass
+    return stiffness, vertex_areas(vertices, faces)
+
+
+@checked(vertices="V 3", faces="F 3 < V")
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) a third of the triangles around each vertex."""
+    thirds = np.repeat(triangle_areas(vertices, faces) / 3, 3)
+    return np.bincount(faces.ravel(), thirds, minlength=len(vertices))
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -233,7 +228,9 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
-def _triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+@checked(vertices="V 3", faces="F 3 < V")
+def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) in the square of the vertices' unit."""
     a, b, c = vertices[faces.T]  # (F, 3) each
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)  # (F,)
 
@@ -247,9 +244,7 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
         raise ValueError(f"{name}: no vertices; the file may be empty or truncated")
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
-        raise ValueError(
-            f"{name}: vertex {bad[0]} is not finite ({vertices[bad[0]]}; {len(bad)} such vertices): repair or remove it"
-        )
+        raise ValueError(f"{name}: vertex {bad[0]} is not finite ({len(bad)} such vertices): repair or remove it")
     if faces is None:
         return vertices, None
     return vertices, _checked_faces(vertices, checks.plain(f"{name}: faces", faces), name)
@@ -271,9 +266,7 @@ def _checked_faces(vertices: np.ndarray, faces: np.ndarray, name: str) -> np.nda
         raise ValueError(f"{name}: face {bad[0]} is {faces[bad[0]]}, which repeats a vertex: remove the face")
     unused = np.flatnonzero(np.bincount(faces.ravel(), minlength=len(vertices)) == 0)
     if len(unused):
-        raise ValueError(
-            f"{name}: vertex {unused[0]} belongs to no face ({len(unused)} such vertices): remove it and renumber"
-        )
-    if not _triangle_areas(vertices, faces).sum() > 0:
+        raise ValueError(f"{name}: vertex {unused[0]} belongs to no face ({len(unused)} such): remove it and renumber")
+    if not triangle_areas(vertices, faces).sum() > 0:
         raise ValueError(f"{name}: the surface has area zero: all faces are degenerate")
     return faces

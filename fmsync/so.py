@@ -46,12 +46,9 @@ def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
 def project(a: np.ndarray) -> np.ndarray:
     r"""Nearest rotation in the Frobenius norm: :math:`U\,\mathrm{diag}(1,\dots,1,\det(UV^\top))\,V^\top`.
 
-    When det A < 0 the column of U that belongs to the *smallest* singular value is flipped; flipping the last column
-    of :math:`UV^\top` instead, as some libraries do, gives a rotation that is not the nearest. Takes (..., n, n) to
-    rotations (..., n, n); ``numpy.linalg.LinAlgError`` if an entry is not finite.
+    When det A < 0 the column of U that belongs to the *smallest* singular value is flipped; the last column of
+    :math:`UV^\top`, as some libraries have it, does not give the nearest. Takes (..., n, n) to rotations (..., n, n).
 
-    Examples
-    --------
     >>> project(np.diag([3.0, 2.0, -1.0]))
     array([[1., 0., 0.],
            [0., 1., 0.],
@@ -97,12 +94,9 @@ def log(r: np.ndarray) -> np.ndarray:
 
     The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
     :math:`f(S)\,K` with f(cos θ) = θ / sin θ, from one symmetric eigenproblem for the whole batch. Near θ = π, where f
-    grows without bound, the product is no longer skew to the last digits: such matrices are redone one by one from the
-    real Schur form. At an eigen-angle of exactly π (the cut locus) the logarithm is not unique; one of the shortest is
-    returned.
+    grows without bound, matrices are redone one by one from the real Schur form. At π itself (the cut locus) the
+    logarithm is not unique; one of the shortest is returned.
 
-    Examples
-    --------
     >>> log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
     array([[ 0.    , -1.5708],
            [ 1.5708,  0.    ]])
@@ -153,8 +147,6 @@ def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     the diameter is :math:`\pi\sqrt{2\lfloor n/2\rfloor}`. Rotations (..., n, n) are broadcast against each other; the
     distances (...) are in radians in the Frobenius convention, √2 times those of geomstats.
 
-    Examples
-    --------
     >>> float(dist(np.eye(2), np.array([[0.0, -1.0], [1.0, 0.0]])) / np.sqrt(2))
     1.5707963267948966
     """
@@ -189,8 +181,6 @@ def frechet_mean(
     rotations lie within π/2 (operator norm) of it. It stops when the mean logarithm is shorter than ``tolerance``; a
     RuntimeError when it does not in ``max_iterations`` steps: the rotations are too far apart to trust a mean.
 
-    Examples
-    --------
     >>> turn = exp(np.array([[0.0, -0.3], [0.3, 0.0]]))
     >>> bool(np.allclose(frechet_mean(np.stack([turn, turn.T])), np.eye(2)))
     True
@@ -207,10 +197,8 @@ def frechet_mean(
         mean = mean @ exp_unchecked(step)
         if np.sqrt((step**2).sum((-2, -1))).max() < tolerance:
             return project_unchecked(mean)  # takes off the rounding of many products
-    raise RuntimeError(
-        f"frechet_mean: the geodesic fixed point did not converge in {max_iterations} iterations; the rotations are "
-        "too spread for a unique mean, use distance='chordal'"
-    )
+    why = "the rotations are too spread for a unique mean, use distance='chordal'"
+    raise RuntimeError(f"frechet_mean: the geodesic fixed point did not converge in {max_iterations} iterations; {why}")
 
 
 # without the tests of arguments: for loops inside the library

@@ -147,7 +147,9 @@ def run(options: argparse.Namespace) -> int:
         folder.mkdir()
         write_all(synced, folder, options.level, calibration, progress=progress)
         _publish(work, options.output)
-    said = list(dict.fromkeys([*quality_flags(synced), *_unsaid(caught)]))
+    # of other categories: a ConvergenceWarning is one of the flags, the rest is for programmers
+    unsaid = [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
+    said = list(dict.fromkeys([*quality_flags(synced), *unsaid]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
     if options.json:
@@ -160,8 +162,6 @@ def run(options: argparse.Namespace) -> int:
 def file_names(names: Sequence[str]) -> list[str]:
     """Names that can stand in file names: letters, digits and ``_.+-``, at most 80, none of them twice.
 
-    Examples
-    --------
     >>> file_names(["cat 0", "..", "cat/0"])
     ['cat_0', 'shape', 'cat_0_2']
     """
@@ -230,12 +230,6 @@ def _summary(synced: "SyncedShapes", output: Path, files: Sequence[Path], said: 
     }
 
 
-def _unsaid(caught: list[warnings.WarningMessage]) -> list[str]:
-    """Warnings that are not said in plain words already."""
-    # of other categories: a ConvergenceWarning is one of the flags, the rest is for programmers
-    return [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
-
-
 def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:
     """Vertices of every shape, from lines 'NAME: 1 2 3' in any order or lines of numbers in the order of the shapes."""
     lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
@@ -251,10 +245,4 @@ def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:
     for shape, row in zip(shapes, words):
         if not row or not all(re.fullmatch("[0-9]{1,12}", word) for word in row):
             raise ValueError(f"{path}: the line of {shape.name} must hold vertex numbers, counted from zero")
-    points = [[int(word) for word in row] for row in words]
-    for shape, marks in zip(shapes, points):
-        if len(marks) != len(points[0]):
-            raise ValueError(f"{path}: {shape.name} has {len(marks)} landmarks, {shapes[0].name} has {len(points[0])}")
-        if max(marks) >= shape.n_vertices:
-            raise ValueError(f"{path}: vertex {max(marks)} is outside {shape.name}, which has {shape.n_vertices}")
-    return points
+    return [[int(word) for word in row] for row in words]

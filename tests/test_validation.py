@@ -235,7 +235,7 @@ class Valid:
             "fmsync.estimators.rectangular.solve_rectangular": {"problem": rectangular, "universe": 5},
             "fmsync.estimators.map.maximum_a_posteriori": {"rng": np.random.default_rng(0)},
             "fmsync.estimators.solve.solve": {"restarts": 2},
-            "fmsync.estimators.restarts.mean_of_starts": {"n_starts": 2},
+            "fmsync.estimators.solve.mean_of_starts": {"n_starts": 2},
             "fmsync.estimators.base.Estimate.from_absolute": {"method": "SO", "group": "SO"},
             "fmsync.samplers.base.Target": {"kappa": 2.0},
             "fmsync.samplers.rlfm.RLFM": {"rng": np.random.default_rng(0), "step": 0.01},

@@ -16,8 +16,7 @@ The order serves for evaluation, never for maps. Each part is a command, and add
 ``... refit --out fmsync/matching/conformal.json``
     the calibration that the package ships, fitted on the species of the part before
 
-A collection is a folder, the name of one in FMSYNC_DATA, ``cats``, or ``uneven_cats``, which are not isometric. Lengths
-are in square roots of the area.
+A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """
 
 import argparse

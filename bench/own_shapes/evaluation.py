@@ -4,15 +4,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-import fmsync
 from bench.problems import geodesics_from
 from data_gen import Creature, load_collection
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Shape
-
-_SYNTHETIC = {"count": 11, "n_vertices": 4000}
 
 
 class Evaluation:
@@ -47,20 +44,7 @@ class Evaluation:
 
 def collection(name: str) -> list[Shape]:
     """Shapes of one vertex order."""
-    if name == "uneven_cats":
-        return uneven(load_collection("cats", seed=2, **_SYNTHETIC))
-    return load_collection(name, **(_SYNTHETIC if name == "cats" else {}))
-
-
-def uneven(shapes: list[Shape], amount: float = 0.0075) -> list[Shape]:
-    """Shapes that are not isometric: each moved by a smooth field of its own, of this size in square roots of area."""
-    smooth = fmsync.laplace_beltrami(shapes[0].vertices, shapes[0].faces, 12).eigenfunctions[:, 1:]
-    moved = []
-    for k, shape in enumerate(shapes):
-        field = smooth @ np.random.default_rng([2, k]).standard_normal((11, 3))
-        vertices = shape.vertices + amount * np.sqrt(shape.area) * field / field.std()
-        moved.append(Shape(vertices, shape.faces, shape.name))
-    return moved
+    return load_collection(name, **({"count": 11, "n_vertices": 4000} if name == "cats" else {}))
 
 
 def species(number: int, count: int = 4) -> list[Creature]:

@@ -10,7 +10,7 @@ import joblib
 import numpy as np
 import pandas as pd
 
-from bench.own_shapes.confidence import LEVELS, Observed, observe
+from bench.own_shapes.confidence import LEVELS, observe
 from bench.own_shapes.evaluation import species
 from fmsync import diagnostics
 from fmsync.files import replacing
@@ -24,7 +24,8 @@ def points(number: int, folder: Path) -> pd.DataFrame:
     """Score and true error of some vertices of every pair of a species, kept in ``folder``."""
     file = folder / f"{number}.parquet"
     if not file.is_file():
-        seen = _seen(number)
+        with diagnostics.short_run():  # scores do not depend on draws
+            seen = observe(species(number), levels=(), n_draws=40)
         rows = [
             pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
             for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
@@ -42,16 +43,13 @@ def all_points(numbers: Iterable[int], folder: Path, jobs: int = 2) -> pd.DataFr
 
 def fitted(rows: pd.DataFrame) -> ConformalCalibration:
     """The calibration of these species, with the guarantee for a new one."""
-    groups = [(int(number), own) for (number, _), own in rows.groupby(["species", "pair"])]
-    known = [_scored(own["score"].to_numpy(dtype=float)) for _, own in groups]
-    errors = [own["error"].to_numpy(dtype=float) for _, own in groups]
-    numbers = [number for number, _ in groups]
+    numbers, known, errors = [], [], []
+    for (number, _), own in rows.astype(float).groupby(["species", "pair"]):
+        numbers.append(int(number))
+        # a confidence with this uncertainty score
+        known.append(Confidence(*np.zeros((6, len(own))), 0.9, own["score"].to_numpy(), np.ones(len(own))))
+        errors.append(own["error"].to_numpy())
     return fit_conformal(known, errors, f"{len(set(numbers))} random species", collections=numbers)
-
-
-def _scored(score: np.ndarray) -> Confidence:
-    """A confidence with this uncertainty score."""
-    return Confidence(*np.zeros((6, len(score))), 0.9, score, np.ones(len(score)))
 
 
 def coverage(rows: pd.DataFrame, calibration: ConformalCalibration) -> pd.DataFrame:
@@ -87,8 +85,3 @@ def table(folder: Path, fit: Iterable[int] = FIT, test: Iterable[int] = TEST) ->
         "left out": summary(left_out(rows)),
         "test": summary(coverage(new, fitted(rows))),
     }
-
-
-def _seen(number: int) -> Observed:
-    with diagnostics.short_run():  # scores do not depend on draws
-        return observe(species(number), levels=(), n_draws=40)

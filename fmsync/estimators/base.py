@@ -129,20 +129,15 @@ class Estimate:
         Without sampling, for ``"spectral"``, ``"mle"`` and ``"staircase"``, small errors, and noise Z, :math:`C_{ij} =
         C_i^\top C_j Z`, without a preferred direction. To first order the d coordinates of an error are independent
         Gaussians of variance :math:`s^2R_{ij}`, R the effective resistance, :math:`s^2 = E\lVert\mathrm{skew}
-        Z\rVert_F^2/(d c^2)`, :math:`c = E\operatorname{tr}Z/n` (Zhong & Ling 2024 on complete graphs; the squared error
-        of :func:`fmsync.expected_rms_error`). The skew parts of the residuals :math:`\hat C_{ij}^\top C_{ij}` keep
-        :math:`\nu = d(E-N+1)` degrees of freedom: :math:`\hat s^2 = \sum w\lVert\mathrm{skew}\rVert_F^2/(\nu\hat c^2)`,
-        with the mean cosine :math:`\hat c`, and the squared Frobenius error over :math:`d\hat s^2R_{ij}` has the F
-        distribution of d and ν degrees. Weights count observations.
-
-        Radii are too short by terms of second order, which matter in many dimensions: at n = 20 balls of 50 % hold
-        clearly fewer of the truths unless the noise is weak, and :meth:`fmsync.Posterior.credible_balls` are needed.
+        Z\rVert_F^2/(d c^2)`, :math:`c = E\operatorname{tr}Z/n` (Zhong & Ling 2024 on complete graphs). The skew parts
+        of the residuals :math:`\hat C_{ij}^\top C_{ij}` keep :math:`\nu = d(E-N+1)` degrees of freedom: :math:`\hat s^2
+        = \sum w\lVert\mathrm{skew}\rVert_F^2/(\nu\hat c^2)`, and the squared Frobenius error over
+        :math:`d\hat s^2R_{ij}` has the F distribution of d and ν degrees. Weights count observations. Radii lack terms
+        of second order: at n = 20 take :meth:`fmsync.Posterior.credible_balls` unless the noise is weak.
 
         ``edges`` (K, 2) are any pairs, the problem's own by default. ValueError for other methods, and for graphs
         without a cycle or repeated edge, whose residuals are zero whatever the noise.
 
-        Examples
-        --------
         >>> import numpy as np, fmsync
         >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
         >>> bool((fmsync.solve(p).confidence_balls(0.9)[1] < 1e-6).all())

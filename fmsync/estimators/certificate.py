@@ -24,15 +24,9 @@ _DENSE_UP_TO = 1200  # matrix size; there the dense eigensolver takes about as l
 class Certificate:
     """What :func:`fmsync.certify` found.
 
-    Attributes
-    ----------
-    certified
-        True: the energy is that of the global minimum over all orthogonal maps, up to a millionth of it and rounding.
-        False: not known; the answer may still be right.
-    min_eigenvalue
-        Least eigenvalue of the certificate matrix; at a critical point it is at most 0, up to rounding.
-    gap_bound
-        The energy is at most this far above the global minimum, always.
+    ``certified``: the energy is that of the global minimum over all orthogonal maps, up to a millionth of it and
+    rounding; if False the answer may still be right. ``min_eigenvalue``, the least of the certificate matrix, is at
+    most 0 at a critical point, up to rounding. The energy is always at most ``gap_bound`` above the global minimum.
     """
 
     certified: bool
@@ -54,8 +48,6 @@ def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificat
     :math:`10^{-6}\,U_E + 100\,\varepsilon\, n N d_{\max}`: a tolerance relative to the largest degree alone
     would certify local minima of graphs whose weights differ much.
 
-    Examples
-    --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     >>> fmsync.certify(p, fmsync.solve(p)).certified

@@ -26,18 +26,12 @@ def mle(
 
     The maximum likelihood estimate under matrix-Langevin noise of any concentration, and the paper's MLE (2).
 
-    Parameters
-    ----------
-    init
-        ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a problem
-        that had only the first few of these nodes: after a change this saves the spectral start.
-    group
-        ``"SO"`` for rotations; ``"O"`` for orthogonal matrices, where maps may reverse orientation. Steps keep every
-        determinant, so that the start decides them; :func:`fmsync.certify` says whether it decided well.
-    tolerance
-        Norm of the Riemannian gradient of U_E at which to stop.
-    max_iterations
-        Trust-region steps, rejected ones included.
+    * ``init``: ``"spectral"``, ``"random"``, rotations (N, n, n), or an earlier :class:`~fmsync.Estimate`, also of a
+      problem that had only the first few of these nodes: after a change this saves the spectral start.
+    * ``group``: ``"SO"`` for rotations; ``"O"`` for orthogonal matrices, where maps may reverse orientation. Steps keep
+      every determinant, so that the start decides them; :func:`fmsync.certify` says whether it decided well.
+    * ``tolerance``, ``max_iterations``: norm of the Riemannian gradient of U_E at which to stop, and trust-region
+      steps, rejected ones included.
     """
     start = starting_point(problem, init, rng, group)
     absolute, converged, trace = minimise(

@@ -32,12 +32,11 @@ def mle_geodesic(
 ) -> Estimate:
     r"""Minimise :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` over rotations.
 
-    Quasi-Newton (L-BFGS) in the frame of the universe, :math:`C_i\leftarrow\exp(\omega_i)C_i`, where the first-order
-    model of the cost is the scalar graph Laplacian, factored once (Govindu 2004): that is the metric the two-loop
-    recursion starts from. The logarithm jumps at the cut locus, where an eigen-angle of an edge reaches π, and at the
-    paper's noise a start has many edges near it. The cost is continuous there and bends downwards on both sides, so
-    that no minimum lies on it: Armijo's backtracking keeps every step downhill and pairs from across a jump, which
-    would have negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
+    Quasi-Newton (L-BFGS) in the frame of the universe, :math:`C_i\leftarrow\exp(\omega_i)C_i`; the two-loop recursion
+    starts from the scalar graph Laplacian, factored once (Govindu 2004). At the cut locus, where an eigen-angle of an
+    edge reaches π, the logarithm jumps. The cost is continuous there and bends downwards on both sides, so that no
+    minimum lies on it: Armijo's backtracking keeps every step downhill, and pairs from across a jump, which have
+    negative curvature, are not remembered. Local minima remain; compare starts with ``restarts=``.
 
     Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
     U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.

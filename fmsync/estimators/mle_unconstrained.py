@@ -28,13 +28,9 @@ def mle_unconstrained(
     r"""Minimise :math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` over real matrices with C_1 = I.
 
     Without the gauge the minimiser is C = 0, whatever was observed. With it this is a linear least-squares problem in
-    the blocks of C_2..C_N, the same for each of their n rows.
-
-    The ``solver`` is ``"exact"``, one sparse factorisation, or ``"iterative"``, conjugate gradients on the normal
-    equations from a random start, to watch a convergence; ``tolerance`` is then the norm of the gradient at which to
-    stop, after ``max_iterations`` steps at most.
-
-    The estimate is off the group: ``absolute`` are arbitrary matrices and ``relative()`` is :math:`C_i^{-1}C_j`.
+    the blocks of C_2..C_N. The ``solver`` is ``"exact"``, one sparse factorisation, or ``"iterative"``, conjugate
+    gradients from a random start, to watch a convergence; ``tolerance`` is then the norm of the gradient at which to
+    stop, after ``max_iterations`` steps at most. Answers are arbitrary matrices; ``relative()`` is :math:`C_i^{-1}C_j`.
     """
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":

@@ -1,15 +1,10 @@
 r"""Rectangular synchronization: shapes with bases of different sizes, absolute maps on Stiefel manifolds.
 
 Shape i has n_i basis functions and an absolute map C_i (m, n_i) with orthonormal columns into a universe of size
-m >= max n_i; an edge observes :math:`C_{ij} = C_i^\top C_j` (n_i, n_j). Unlike for square maps
-:math:`\lVert C_i^\top C_j\rVert` is not constant, the energy keeps its quartic term, and neither the linear shortcuts
-nor the certificate of the square case apply.
-
-A map of a pair that is not observed need not be determined: if C_i, C_j reach out of the span of the shapes between
-them, that part of C_j can be rotated or reflected, and all observed maps stay. :meth:`RectangularEstimate.identifiable`
-looks for this.
-
-Inside, blocks are padded with zero columns to a common width, so that everything is batched.
+m >= max n_i; an edge observes :math:`C_{ij} = C_i^\top C_j` (n_i, n_j). Its norm is not constant, so that the energy
+keeps its quartic term and the certificate of the square case does not apply. A map that is not observed need not be
+determined: what C_i and C_j hold beyond the span of the shapes between them can be rotated while all observed maps stay
+(:meth:`RectangularEstimate.identifiable`). Inside, blocks are padded with zero columns to a common width.
 """
 
 import itertools
@@ -71,10 +66,8 @@ class RectangularSyncProblem:
                 if sizes[node] == 0:
                     sizes[node], first[node] = size, e
                 elif sizes[node] != size:
-                    raise ValueError(
-                        f"maps: {name} gives node {node} {size} basis functions, edge {first[node]} gave it "
-                        f"{sizes[node]}; use one basis per shape"
-                    )
+                    before = f"edge {first[node]} gave it {sizes[node]}; use one basis per shape"
+                    raise ValueError(f"maps: {name} gives node {node} {size} basis functions, {before}")
             observed.setflags(write=False)
         object.__setattr__(self, "n_nodes", n_nodes)
         for name, value in (("edges", edges), ("maps", checked), ("weights", weights), ("sizes", sizes)):
@@ -116,11 +109,9 @@ class RectangularEstimate:
         if edges is not None:
             unknown = np.asarray(edges)[~self.identifiable(edges)].tolist()
             if unknown:
-                message = (
-                    f"relative: the observed maps do not determine pairs {', '.join(map(str, unknown[:5]))}"
-                    f"{' and others' * (len(unknown) > 5)}; observe them, or take a smaller universe"
-                )
-                warnings.warn(message, UserWarning, stacklevel=2)
+                pairs = f"{', '.join(map(str, unknown[:5]))}{' and others' * (len(unknown) > 5)}"
+                message = f"relative: the observed maps do not determine pairs {pairs}; observe them, or take a smaller"
+                warnings.warn(f"{message} universe", UserWarning, stacklevel=2)
         return self._relative(self.absolute, self.problem.edges if edges is None else edges)
 
     @checked(edges="K 2 < N")
@@ -133,8 +124,6 @@ class RectangularEstimate:
         For other pairs eight fits from random starts look for frames that meet all observed maps exactly and differ
         here. False is then certain, True means that none was found.
 
-        Examples
-        --------
         >>> import numpy as np, fmsync
         >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
         >>> fmsync.solve_rectangular(p).identifiable([[0, 1], [0, 2]])
@@ -205,14 +194,10 @@ def solve_rectangular(
 ) -> RectangularEstimate:
     r"""Minimise :math:`\sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2` over maps with orthonormal columns.
 
-    Trust regions on the product of the Stiefel manifolds St(m, n_i), from the leading eigenvectors of the connection
-    matrix.
+    Trust regions on the product of the Stiefel manifolds St(m, n_i), from leading eigenvectors (``init``
+    ``"spectral"``) or ``"random"`` frames. The size m of the ``universe`` is the largest n_i by default, which presumes
+    that one shape sees everything. A RuntimeWarning tells that the gradient stayed above ``tolerance``.
 
-    The size m of the ``universe`` is the largest n_i by default, which presumes that one shape sees everything;
-    ``init`` is ``"spectral"`` or ``"random"``. A RuntimeWarning tells that the gradient stayed above ``tolerance``.
-
-    Examples
-    --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.RectangularSyncProblem(3, [[0, 1], [1, 2]], [np.eye(4, 3), np.eye(3, 5)])
     >>> bool(fmsync.solve_rectangular(p).cost < 1e-12)

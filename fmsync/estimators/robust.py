@@ -1,8 +1,7 @@
 """Estimates that some wrong maps do not spoil: reweighted least squares and a mixture with outliers."""
 
 import copy
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from fmsync.estimators.trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem
 from fmsync.problem import relative_maps_unchecked as relative_maps
 
+Rule = Callable[[np.ndarray], tuple[float, np.ndarray]]  # squared residuals (E,) -> the cost, inlier weights (E,)
 LOSSES = ("mixture", "geman-mcclure", "l1")
 _LEAST_WEIGHT = 1e-9  # least fraction of its weight that an edge keeps, so that the graph stays connected
 _LARGEST_KAPPA = 1e4  # clean maps would drive the concentration to infinity
@@ -46,41 +46,30 @@ def robust(
     * ``"geman-mcclure"``: :math:`\sum w\,c^2r^2/(c^2+r^2)`, c = 1.5 times the median residual of the l1 answer.
     * ``"l1"``: :math:`\sum w\sqrt{r^2+\delta^2}`, :math:`\delta = 10^{-4}\sqrt n` (Wang & Singer 2013).
 
-    The first two start from the l1 answer. Wrong maps should be fewer than half at every node.
-
-    Parameters
-    ----------
-    loss, init, group
-        One of these losses; start and group as in ``"mle"``.
-    tolerance
-        Norm at which to stop of the gradient of the weighted squares, scaled to a mean weight of 1. At a fixed point
-        it is proportional to the gradient of the robust cost.
-    max_iterations
-        Rounds, at most.
-
-    The ``cost`` is the robust cost; ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
+    The first two start from the l1 answer. Wrong maps should be fewer than half at every node. ``init`` and ``group``
+    are as in ``"mle"``; it stops after ``max_iterations`` rounds or where the norm of the gradient of the weighted
+    squares, scaled to a mean weight of 1, is below ``tolerance``: at a fixed point it is proportional to the gradient
+    of the robust ``cost``. ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
     """
     checks.one_of("loss", loss, LOSSES)
     absolute = starting_point(problem, init, rng, group)
-    rule: _Rule
-    if loss == "l1":
-        rule = _L1(problem)
-    else:
-        absolute = _reweigh(problem, _L1(problem), absolute, None, 1e-2, 50)[0]
-        rule = (_GemanMcClure if loss == "geman-mcclure" else _Mixture)(problem, _squares(problem, absolute))
+    rule = _l1(problem)
+    if loss != "l1":
+        absolute = _reweigh(problem, rule, absolute, None, 1e-2, 50)[0]
+        rule = (_geman_mcclure if loss == "geman-mcclure" else _mixture)(problem, _squares(problem, absolute))
     absolute, *found = _reweigh(problem, rule, absolute, callback, tolerance, max_iterations)
     fields = dict(zip(("cost", "edge_weights", "converged", "trace"), found))
     return Estimate.from_absolute(problem, absolute, "robust", group, **fields)
 
 
 def _reweigh(
-    problem: SyncProblem, rule: "_Rule", absolute: np.ndarray, call: Callback | None, tolerance: float, rounds: int
+    problem: SyncProblem, rule: Rule, absolute: np.ndarray, call: Callback | None, tolerance: float, rounds: int
 ) -> tuple[np.ndarray, float, np.ndarray, bool, Trace]:
     """Rounds of weights and weighted least squares: (rotations, cost, inlier weights, converged, trace)."""
     recorder = Recorder(call)
     while True:
         squares = _squares(problem, absolute)
-        cost, inlier = rule.update(squares)
+        cost, inlier = rule(squares)
         scale = len(inlier) / max(inlier.sum(), 1e-300)
         weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
         norm = float(np.linalg.norm(gradient(weighted, absolute)))
@@ -109,52 +98,40 @@ def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
     return new
 
 
-class _Rule(Protocol):
-    """The cost of squared residuals (E,), and the inlier weight of each edge."""
+def _l1(problem: SyncProblem) -> Rule:
+    smooth = _SMOOTH * np.sqrt(problem.n)
 
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]: ...
+    def rule(squares: np.ndarray) -> tuple[float, np.ndarray]:
+        distance = np.sqrt(squares + smooth**2)
+        return float(problem.weights @ distance), distance.min() / distance
 
-
-class _L1:
-    def __init__(self, problem: SyncProblem) -> None:
-        self._problem = problem
-        self._smooth = _SMOOTH * np.sqrt(problem.n)
-
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        distance = np.sqrt(squares + self._smooth**2)
-        cost = float(self._problem.weights @ distance)
-        return cost, distance.min() / distance
+    return rule
 
 
-class _GemanMcClure:
-    def __init__(self, problem: SyncProblem, squares: np.ndarray):
-        self._problem = problem
-        self._scale = max(1.5**2 * float(np.median(squares)), _SMOOTH**2 * problem.n)
+def _geman_mcclure(problem: SyncProblem, first: np.ndarray) -> Rule:
+    scale = max(1.5**2 * float(np.median(first)), _SMOOTH**2 * problem.n)
 
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        cost = float(self._problem.weights @ (self._scale * squares / (self._scale + squares)))
-        return cost, (self._scale / (self._scale + squares)) ** 2
+    def rule(squares: np.ndarray) -> tuple[float, np.ndarray]:
+        cost = float(problem.weights @ (scale * squares / (scale + squares)))
+        return cost, (scale / (scale + squares)) ** 2
+
+    return rule
 
 
-@dataclass
-class _Mixture:
-    """Expectation–maximisation; every update first sets κ and ε to their best for the last inlier weights."""
+def _mixture(problem: SyncProblem, first: np.ndarray) -> Rule:
+    """Expectation–maximisation; every call first sets κ and ε to their best for the last inlier weights."""
+    inlier, n, weights = (first <= 1.5**2 * np.median(first)).astype(float), problem.n, problem.weights
+    size = (problem.maps**2).sum((1, 2)) + n  # r² = size - 2 tr
 
-    problem: SyncProblem
-    first: np.ndarray
-
-    def __post_init__(self) -> None:
-        self._inlier = (self.first <= 1.5**2 * np.median(self.first)).astype(float)
-        self._size = (self.problem.maps**2).sum((1, 2)) + self.problem.n  # r² = size - 2 tr
-
-    def update(self, squares: np.ndarray) -> tuple[float, np.ndarray]:
-        n, weights = self.problem.n, self.problem.weights
-        trace = (self._size - squares) / 2
-        kept = weights * self._inlier
+    def rule(squares: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal inlier
+        trace, kept = (size - squares) / 2, weights * inlier
         cosine = float(kept @ trace / kept.sum() / n)
         kappa = langevin.matched_kappa(n, min(cosine, float(langevin.mean_cosine(n, _LARGEST_KAPPA))))
         outliers = float(np.clip(1 - kept.sum() / weights.sum(), 1e-3, 1 - 1e-3))
-        inlier = np.log1p(-outliers) + kappa * trace - langevin.log_normaliser(n, kappa)
-        total = np.logaddexp(inlier, np.log(outliers))
-        self._inlier = np.exp(inlier - total)
-        return -float(weights @ total), self._inlier
+        inside = np.log1p(-outliers) + kappa * trace - langevin.log_normaliser(n, kappa)
+        total = np.logaddexp(inside, np.log(outliers))
+        inlier = np.exp(inside - total)
+        return -float(weights @ total), inlier
+
+    return rule

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import checks
+from fmsync import checks, so
 from fmsync.checks import checked
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
@@ -27,23 +27,16 @@ def solve(
 ) -> Estimate:
     """Estimate the absolute maps of a problem; BLAS runs single-threaded meanwhile, which small products like.
 
-    Parameters
-    ----------
-    problem, method, rng
-        What was observed, a name of :func:`methods`, and a seed or generator: same seed, same answer.
-    callback
-        Called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each accepted step of an
-        iterative method; direct methods call it once.
-    restarts
-        Number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest answer is
-        returned, and its ``n_agreeing`` counts the starts that came to its cost.
+    * ``method``, ``rng``: a name of :func:`methods`, and a seed or generator: same seed, same answer.
+    * ``callback``: called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each
+      accepted step of an iterative method; direct methods call it once.
+    * ``restarts``: number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest
+      answer is returned, and its ``n_agreeing`` counts the starts that came to its cost.
+    * ``options`` of the method; an unknown one is refused with the list of known ones.
 
-    An unknown option is refused with the list of known ones. Warns with a RuntimeWarning when the method stopped before
-    its tolerance was met (``converged`` is then False), and with a UserWarning that names the worst edge when maps far
-    from orthogonal met a method that answers with rotations.
+    Warns with a RuntimeWarning when the method stopped before its tolerance was met (``converged`` is then False), and
+    with a UserWarning that names the worst edge when maps far from orthogonal met a method that answers with rotations.
 
-    Examples
-    --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     >>> fmsync.solve(p, "mle").cost < 1e-20
@@ -56,7 +49,7 @@ def solve(
             raise ValueError(f"restarts: {method!r} has no starting point to vary; leave restarts out")
         return best_of_starts(problem, method, restarts, generator, callback=callback, **options)
     with single_threaded_blas():
-        estimate = function(problem, rng=generator, callback=callback or _nothing, **options)
+        estimate = function(problem, rng=generator, callback=callback or (lambda *_: None), **options)
     if not estimate.converged:
         left = "" if estimate.trace is None else f", gradient norm {estimate.trace.gradient_norm[-1]:.2g}"
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
@@ -77,9 +70,7 @@ def best_of_starts(
 ) -> Estimate:
     """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
 
-    What ``solve(..., restarts=k)`` calls. The estimate says in ``n_agreeing`` how many starts, its own included, came
-    to its cost up to one part in a million: that all agree suggests a global optimum, that some do not is proof of
-    local ones.
+    Its ``n_agreeing`` starts came to its cost up to one part in a million: that all agree suggests a global optimum.
     """
     checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
@@ -92,5 +83,25 @@ def best_of_starts(
     return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
-def _nothing(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float) -> None:
-    """The callback of a caller who gave none."""
+@checked()
+def mean_of_starts(
+    problem: SyncProblem,
+    n_starts: int = 10,
+    method: str = "mle",
+    *,
+    rng: int | np.random.Generator = 0,
+    distance: str = "geodesic",
+    **options: Any,
+) -> tuple[Estimate, list[Estimate]]:
+    """The paper's protocol: independent random starts, gauges aligned to C_1 = I, Fréchet mean of every absolute map.
+
+    ``method`` is an iterative one on :math:`SO(n)^N` with an ``init`` option, and ``options`` go to it. Returns the
+    estimate at the mean (:func:`fmsync.so.frechet_mean`), its Euclidean energy as ``cost``, and the single answers. A
+    RuntimeError when they are too far apart for a geodesic mean (beyond the recovery threshold); use ``"chordal"``.
+    """
+    checks.unused("here, where all starts are random", init=(options.get("init"), None))
+    streams = np.random.default_rng(rng).spawn(n_starts)
+    starts = [solve(problem, method, rng=stream, init="random", **options) for stream in streams]
+    absolute = so.frechet_mean(np.stack([start.absolute for start in starts]), distance=distance)
+    mean = Estimate.from_absolute(problem, absolute, f"mean of {n_starts} {method}")
+    return mean, starts

@@ -42,8 +42,6 @@ def add_shape(
     does (``landmarks``, ``jobs`` and ``rng`` are as there), and its map solved for robustly given theirs. Each of their
     draws gets one of its map from the exact conditional density; what the new maps say about the others is not used.
 
-    Examples
-    --------
     >>> import data_gen, fmsync
     >>> *cats, last = data_gen.load_collection("cats", count=3, n_vertices=1000)
     >>> synced = fmsync.synchronize_shapes(cats, n_basis=10, n_refined=20, n_samples=150, n_draws=0)

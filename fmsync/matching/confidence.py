@@ -22,31 +22,18 @@ _ALIKE = 0.05  # largest difference of the logarithms of heat kernel signatures 
 class Confidence:
     """What is known of the images on shape j of the S samples of shape i; lengths in square roots of the area.
 
-    Nothing here has seen a truth. Radius and entropy come from the posterior, spread from the observed maps: how far
-    maps contradict each other. The two distortions are indicators of errors that all maps share.
+    Nothing here has seen a truth. All are (S,) but ``level``, that of the region, in (0, 1):
 
-    Attributes
-    ----------
-    image
-        (S,) sample of j under the synchronised map: the centre of the region.
-    radius
-        (S,) geodesic radius about ``image`` that holds ``level`` of the draws.
-    spread
-        (S,) mean geodesic distance from ``image`` to where maps through other shapes send the sample.
-    entropy
-        (S,) of the draws' images, in nats.
-    two_modes
-        (S,) whether the answer is not one place: two distant ones both hold a fifth of the votes of the maps through
-        other shapes, or the surface has a continuous symmetry that moves the image far.
-    symmetry_radius
-        (S,) radius that holds ``level`` of the places which symmetry makes as good as ``image``; 0 without any.
-    level
-        Of the region, in (0, 1).
-    local_distortion
-        (S,) relative change of the distances to the samples nearby, averaged over the neighbourhood: where the map
-        tears, folds or slides; a pure number, which hardly depends on how many samples there are.
-    distortion
-        (S,) mean change of the geodesic distances to all other samples: wrong maps, shapes that are not isometric.
+    * ``image``, the sample of j under the synchronised map: the centre of the region.
+    * ``radius``, the geodesic radius about it that holds ``level`` of the draws; ``entropy`` of their images, in nats.
+    * ``spread``, the mean geodesic distance from ``image`` to where maps through other shapes send the sample.
+    * ``two_modes``, whether the answer is not one place: two distant ones both hold a fifth of the votes of the maps
+      through other shapes, or the surface has a continuous symmetry that moves the image far.
+    * ``symmetry_radius`` that holds ``level`` of the places which symmetry makes as good as ``image``; 0 without any.
+    * ``local_distortion``, the relative change of the distances to the samples nearby, averaged over the neighbourhood:
+      where the map tears, folds or slides; a pure number, which hardly depends on how many samples there are.
+    * ``distortion``, the mean change of the geodesic distances to all other samples: of wrong maps, or of shapes that
+      are not isometric. Like the local one it indicates errors that all maps share.
     """
 
     image: np.ndarray
@@ -78,14 +65,8 @@ def confidence(
 ) -> Confidence:
     """Confidence of the samples of shape i = ``first`` on shape j = ``second``.
 
-    Parameters
-    ----------
-    image, vertex
-        (S_i,) samples of j, and vertices of j, where the synchronised map sends the samples of i.
-    draws
-        (T, n, n) posterior draws of C_ij.
-    votes
-        (W, S_i) samples of j according to the observed map and to compositions of two observed maps.
+    The synchronised map sends the samples of i to samples ``image`` (S_i,) and vertices ``vertex`` (S_i,) of j;
+    ``draws`` (T, n, n) are of C_ij; ``votes`` (W, S_i) samples of j by the observed map and compositions of two.
     """
     g, hits = second.geodesics, draw_images(first, second, draws)
     counts = np.zeros((len(image), len(g)))  # (S_i, S_j)

@@ -19,14 +19,8 @@ LEVELS = (0.25, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)
 class ConformalCalibration:
     """The error to expect for an uncertainty score, and how often which multiple of the score is exceeded.
 
-    Attributes
-    ----------
-    fitted_on
-        In words, the shapes it was fitted on.
-    mean
-        Mean error over mean score.
-    levels, scales
-        Regions of radius ``scale * score`` held the share ``level`` of the truths.
+    ``fitted_on`` says in words which shapes; ``mean`` is their mean error over mean score. Regions of radius ``scale *
+    score`` held the share ``level`` of the truths, of ``levels`` and ``scales``.
     """
 
     fitted_on: str
@@ -91,8 +85,6 @@ def fit_conformal(
     and Willett 2023): every collection has the weight :math:`1/(K+1)`, its vertices share it, and the rest lies at
     infinity. A level above :math:`K/(K+1)` is then a ValueError.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(0)
     >>> score = rng.random(400)
     >>> known = Confidence(*np.zeros((6, 400)), 0.9, score, np.ones(400))

@@ -77,9 +77,7 @@ def _checked(given: Any, size: tuple[int, int], most: tuple[int, int], n_basis: 
             raise ValueError(f"it matches {(total > 0).sum()} vertices, too few for n_basis = {n_basis}; lower n_basis")
         return soft
     if array.shape in (size, size[::-1]):
-        raise ValueError(
-            f"a dense {array.shape} matrix, a row for each vertex; give soft maps as scipy.sparse matrices"
-        )
+        raise ValueError(f"a dense {array.shape} matrix, a row for each vertex; give soft maps as scipy.sparse ones")
     there, back = (array.shape[0] <= most[k] and array.shape[1] <= most[1 - k] for k in (0, 1))
     _refuse_misfit(f"C_ij of shape {array.shape}, for bases of {most[0]} and {most[1]} functions,", there, back, size)
     if min(array.shape) < n_basis:
@@ -161,9 +159,7 @@ def given_matches(
         if read[-1].distortion < _REVERSED * read[0].distortion:
             turned.append(g.name)
     if turned:
-        raise ValueError(
-            f"{', '.join(turned)}: keeps distances far better when read as a map in the other direction; {_TURN}"
-        )
+        raise ValueError(f"{', '.join(turned)}: keeps distances far better when read in the other direction; {_TURN}")
     return found
 
 

@@ -34,8 +34,6 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
 
     The graph of the ``edges`` (E, 2) must be connected.
 
-    Examples
-    --------
     >>> c = np.array([[0.0, -1.0], [1.0, 0.0]])
     >>> y = latent_maps(3, np.array([[0, 1], [1, 2], [0, 2]]), np.array([c, c, c @ c]))
     >>> bool(np.allclose(y[0].T @ y[2], c @ c))

@@ -63,9 +63,7 @@ def _read(path: Path, entries: int) -> Any:
             array.check_format(full_check=True)  # indices that lead outside would crash the process
         return array
     except Exception as error:  # readers of others raise whatever a damaged file makes them
-        raise ValueError(
-            f"{path}: cannot be read as a map ({error}); mend it, write it again or take it away"
-        ) from error
+        raise ValueError(f"{path}: cannot be read as a map ({error}); write it again or take it away") from error
 
 
 def _read_mat(data: bytes, most: int) -> Any:

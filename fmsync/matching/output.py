@@ -26,22 +26,7 @@ from fmsync.shape import Basis, Shape
 
 _OF_SHAPES = ("vertices", "faces", "eigenvalues", "eigenfunctions", "mass")
 
-_README = """\
-report.html         pictures of every pair and a summary; everything is in the one file
-maps.npz            refined (N, M, m) to shared functions: C_ij = refined[i].T @ refined[j]; draws (T, N, n, n); edges;
-                    names of the shapes; and the rest of what fmsync.matching.load_synced reads
-point_maps/*.npy    A_to_B.npy, for every pair: for each vertex of A its vertex of B
-point_maps/*.csv    the same, with region, expected, radius, spread, entropy and two_modes of every vertex
-meshes/*.vtp, *.ply every shape with those of its map to {reference} on its vertices, for ParaView and MeshLab
-edges.csv           every map: how well distances and orientation are kept, its inlier weight
-
-Lengths are in units of the square root of a shape's surface area.
-region      radius about the image that should hold the truth with probability {level:.0%}; learnt from: {fitted_on}.
-expected    the error to be expected of the image: what to rank vertices by. Drop the largest first.
-radius      radius that holds {level:.0%} of the posterior draws: the noise of the maps alone, smaller than region.
-spread      mean distance to where maps through other shapes lead.
-two_modes   two distant places have support, as on a left-right symmetric body.
-{flags}"""
+_README = Path(__file__).with_name("readme.txt")
 
 
 def write_all(
@@ -67,7 +52,8 @@ def write_all(
     edges = edge_table(synced)
     edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
     flags = "".join(f"\nWARNING: {line}\n" for line in quality_flags(synced))
-    text = _README.format(reference=names[reference], level=level, fitted_on=calibration.fitted_on, flags=flags)
+    told = {"reference": names[reference], "level": level, "fitted_on": calibration.fitted_on, "flags": flags}
+    text = _README.read_text(encoding="utf-8").format(**told)
     (folder / "README.txt").write_text(text, encoding="utf-8")
     (folder / "report.html").write_text(report(synced, known, edges, calibration, level), encoding="utf-8")
 

@@ -7,6 +7,7 @@ geodesic distances and orientation is the answer. Trying many signs is the idea 
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,18 +29,11 @@ _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geo
 
 @dataclass(frozen=True, eq=False)
 class PairMatch:
-    """A map from descriptors alone and how good it looks without the truth.
+    """A functional map ``c_ij`` (m, m) from descriptors alone, and how good it looks without the truth.
 
-    Attributes
-    ----------
-    c_ij
-        (m, m) functional map.
-    distortion
-        Mean absolute change of geodesic distances between samples, in square roots of the area.
-    orientation
-        Correlation in [-1, 1] with a map that keeps orientation; 0 for point clouds.
-    mirrored_distortion
-        Distortion of the best candidate that turns left into right; infinite where there was none.
+    ``distortion`` is the mean absolute change of geodesic distances between samples, in square roots of the area;
+    ``orientation`` the correlation in [-1, 1] with a map that keeps it, 0 for point clouds; ``mirrored_distortion``
+    that of the best candidate that turns left into right, infinite where there was none.
     """
 
     c_ij: np.ndarray
@@ -50,7 +44,7 @@ class PairMatch:
     @property
     def cost(self) -> float:
         """What candidates are chosen by: smaller is better."""
-        return self.distortion - _ORIENTED * self.orientation
+        return float(_costs(self.distortion, self.orientation, 0.0))
 
 
 @checked()
@@ -122,7 +116,7 @@ def map_scores(
     return distortion, (left * right).sum((1, 2, 3)) / np.maximum(scale, 1e-300), missed
 
 
-def _costs(distortion: np.ndarray, orientation: np.ndarray, missed: np.ndarray) -> np.ndarray:
+def _costs(distortion: Any, orientation: Any, missed: Any) -> Any:
     return distortion - _ORIENTED * orientation + missed
 
 

@@ -22,39 +22,23 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
         if not np.isfinite(apart):
             said.append("There are too few posterior draws to tell whether the chains agree: ask for 1000 or more.")
         elif apart > _RHAT:
-            said.append(
-                f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
-                "do not rely on the regions; ask for more draws."
-            )
+            text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
+            said.append(text + "do not rely on the regions; ask for more draws.")
         if np.isfinite(effective) and effective < _ESS:
-            said.append(
-                f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
-                "the regions are rough; ask for more draws."
-            )
-    pairs = [synced.edge_names[e] for e in synced.violating]
-    if pairs:
-        said.append(
-            f"{len(pairs)} pairs contradict the left and right of the others, and are doubtful: {', '.join(pairs)}."
-        )
-    turned = [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]
-    if turned:
-        said.append(
-            f"{len(turned)} given maps turn left into right; if these are many, so may the answer: {', '.join(turned)}."
-        )
-    turning = [s.shape.name for s in synced.shapes if has_continuous_symmetry(s)]
-    if turning:
-        said.append(
-            f"{', '.join(turning)}: nearly equal eigenvalues, as on a surface of revolution. The shape does not tell "
-            "how far a vertex is turned about the axis; regions there are as wide as its circle. Give landmarks."
-        )
+            text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
+            said.append(text + "the regions are rough; ask for more draws.")
+    if pairs := [synced.edge_names[e] for e in synced.violating]:
+        said.append(f"{len(pairs)} pairs contradict the left and right of the others: doubt {', '.join(pairs)}.")
+    if turned := [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]:
+        said.append(f"{len(turned)} given maps turn left into right; if many, so may the answer: {', '.join(turned)}.")
+    if turning := [s.shape.name for s in synced.shapes if has_continuous_symmetry(s)]:
+        text = f"{', '.join(turning)}: nearly equal eigenvalues, as on a surface of revolution. It does not tell "
+        text += "how far a vertex is turned about the axis; regions there are as wide as its circle. Give landmarks."
+        said.append(text)
     if any(s.orientation is None and s.n_landmarks < 2 for s in synced.shapes):
-        said.append(
-            "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. Give "
-            "meshes or landmarks."
-        )
+        text = "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. "
+        said.append(text + "Give meshes or landmarks.")
     if len(synced.used) < len(synced.shapes):
-        said.append(
-            "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
-            "use a graph with more pairs."
-        )
+        text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
+        said.append(text + "use a graph with more pairs.")
     return said

@@ -18,26 +18,13 @@ _DESCRIPTOR_SIZES = (12, 12)  # times of the heat kernel signature, energies of 
 
 @dataclass(frozen=True, eq=False)
 class SampledShape:
-    """A shape of unit area, reduced to what matching it takes.
+    """A ``shape`` of unit area, reduced to what matching it takes.
 
-    Attributes
-    ----------
-    shape
-        Scaled to unit area.
-    basis
-        All basis functions, of which maps use the first few.
-    samples
-        (S,) vertices; any first few of them are spread evenly. Landmarks, if there are, come first.
-    geodesics
-        (S, S) geodesic distances between samples, in units of the square root of the area; symmetric.
-    descriptors
-        (V, K) functions of area-weighted norm 1 and mean 0.
-    coefficients
-        (n, K) of the descriptors in the basis.
-    orientation
-        (K, n, n) operators that change sign on the mirror image, or None for a point cloud.
-    n_landmarks
-        How many of the samples are landmarks.
+    ``basis`` are all basis functions, of which maps use the first few; ``samples`` (S,) vertices, of which any first
+    few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in
+    square roots of the area, symmetric; ``descriptors`` (V, K) functions of area-weighted norm 1 and mean 0,
+    ``coefficients`` (n, K) theirs in the basis; ``orientation`` (K, n, n) operators that change sign on the mirror
+    image, None for a point cloud.
     """
 
     shape: Shape
@@ -115,8 +102,6 @@ def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = No
 
     Starts with ``first``, or with the point farthest from the middle.
 
-    Examples
-    --------
     >>> farthest_points(np.array([[0.0, 0, 0], [1, 0, 0], [5, 0, 0]]), 2)
     array([2, 0])
     """

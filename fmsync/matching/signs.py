@@ -6,15 +6,8 @@ import numpy as np
 def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signs s with det C_ij = s_i s_j on as many edges (E, 2) as greedy ascent from the leading eigenvector finds.
 
-    Returns
-    -------
-    signs
-        (N,) of ±1, the first +1. Flip one eigenfunction of every shape with -1.
-    violating
-        Indices into ``edges`` whose determinant disagrees with the signs.
+    (N,) of ±1, the first +1: flip one eigenfunction of every shape with -1. And indices of edges that disagree.
 
-    Examples
-    --------
     >>> maps = np.array([np.diag([1.0, -1.0]), np.diag([1.0, -1.0]), np.eye(2)])
     >>> rotation_signs(3, np.array([[0, 1], [1, 2], [0, 2]]), maps)
     (array([ 1., -1.,  1.]), array([], dtype=int64))

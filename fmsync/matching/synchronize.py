@@ -42,23 +42,13 @@ _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, 
 class SyncedShapes:
     """Shapes with consistent maps.
 
-    Attributes
-    ----------
-    shapes
-        N sampled shapes of unit area.
-    edges, matches
-        (E, 2) pairs and their maps: from descriptors, after refinement, or as they were given.
-    signs, violating
-        (N,) ±1, and the edges whose determinant disagrees with them.
-    problem, estimate, posterior
-        The n x n synchronisation problem, its robust answer, and draws (None if none were asked for).
-    refined
-        (N, M, m) maps with orthonormal rows from the refined bases to M <= m functions that all shapes share; points
-        are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
-    map_names
-        Of given maps, one for each edge; empty where the shapes were matched.
-    used
-        (U,) edges whose maps carry points: all, or of given maps those of least cost of each pair that are trusted.
+    ``shapes`` are N sampled shapes of unit area; ``edges`` (E, 2) pairs and ``matches`` their maps, from descriptors or
+    as they were given, with ``map_names`` then; ``signs`` (N,) ±1, and ``violating`` the edges whose determinant
+    disagrees with them; ``problem``, ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust
+    answer, and draws (None if none were asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the
+    refined bases to M <= m functions that all shapes share: points are matched by the values of those, and relative
+    maps are ``refined[i].T @ refined[j]``. ``used`` (U,) are the edges whose maps carry points: all, or of given maps
+    those of least cost of each pair that are trusted.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -188,33 +178,21 @@ def synchronize_shapes(
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
     of each pair: errors of several maps of one pair are not independent.
 
-    Parameters
-    ----------
-    shapes
-        At least two meshes or point clouds in any unit, with any numbers of vertices, each in one piece.
-    maps, bases
-        Maps from i to j, ``{(i, j): map}``, instead of the pipeline's own: any pairs that connect all shapes, in one
-        direction or both; ``{name: map}`` or a list for several of a pair. One axis of whole numbers is a point map
-        (V_i,) of vertices of j counted from zero, -1 for unmatched ones; a ``scipy.sparse`` matrix a soft map
-        (V_i, V_j), rows summing to at most one; any other matrix a functional map C_ij (n_i, n_j), from coefficients on
-        j to those on i, n_i and n_j >= ``n_basis``, in the first functions of ``bases`` or, without these, of
-        :func:`fmsync.laplace_beltrami`. A map that does not fit, or fits far better in reverse, is a ValueError.
-    n_basis, n_refined
-        Size n of the maps that are sampled, and size m >= n of those that carry points.
-    n_samples, n_draws
-        Samples of each shape, at least n, and posterior draws (0 for none).
-    graph
-        ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j) that
-        connect all shapes.
-    landmarks
-        For each shape the same L <= ``n_samples`` vertices in the same order.
-    jobs, checkpoint
-        Processes of the pairwise stage, through joblib and its active backend; folder of pairs that are finished.
-    progress, rng
-        Show a bar for each long stage; seed or generator of estimators and sampler.
+    * ``shapes``: at least two meshes or point clouds in any unit, with any numbers of vertices, each in one piece.
+    * ``maps``, ``bases``: maps from i to j, ``{(i, j): map}``, instead of the pipeline's own: any pairs that connect
+      all shapes, in one direction or both; ``{name: map}`` or a list for several of a pair. One axis of whole numbers
+      is a point map (V_i,) of vertices of j counted from zero, -1 for unmatched ones; a ``scipy.sparse`` matrix a soft
+      map (V_i, V_j), rows summing to at most one; any other matrix a functional map C_ij (n_i, n_j), from coefficients
+      on j to those on i, n_i and n_j >= ``n_basis``, in the first functions of ``bases`` or, without these, of
+      :func:`fmsync.laplace_beltrami`. A map that does not fit, or fits far better in reverse, is a ValueError.
+    * ``n_basis``, ``n_refined``: size n of the maps that are sampled, and m >= n of those that carry points.
+    * ``n_samples``, ``n_draws``: samples of each shape, at least n, and posterior draws (0 for none).
+    * ``graph``: ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j)
+      that connect all shapes.
+    * ``landmarks``: for each shape the same L <= ``n_samples`` vertices in the same order.
+    * ``jobs``, ``checkpoint``: processes of the pairwise stage, through joblib and its active backend; folder of pairs
+      that are finished. ``progress`` shows a bar for each long stage.
 
-    Examples
-    --------
     >>> import data_gen, fmsync
     >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
     >>> synced = fmsync.synchronize_shapes(cats, n_basis=10, n_refined=20, n_samples=150, n_draws=0)
@@ -224,9 +202,8 @@ def synchronize_shapes(
     rng, names = np.random.default_rng(rng), [s.name for s in shapes]
     shapes = [replace(s, name=f"{s.name} (shape {k})") if names.count(s.name) > 1 else s for k, s in enumerate(shapes)]
     if n_basis > min(n_refined, n_samples):
-        raise ValueError(
-            f"n_basis = {n_basis}: lower it to n_refined = {n_refined} and n_samples = {n_samples} at most"
-        )
+        most = f"n_refined = {n_refined} and n_samples = {n_samples} at most"
+        raise ValueError(f"n_basis = {n_basis}: lower it to {most}")
     check_shapes(shapes, n_refined)
     marks = [None] * len(shapes) if landmarks is None else checked_landmarks(landmarks, shapes, n_samples)
     if bases if maps is None else graph != "complete":
@@ -290,17 +267,15 @@ def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
     for k, shape in enumerate(shapes):
         if shape.n_vertices <= n_refined:
             raise ValueError(
-                f"{shape.name}: {shape.n_vertices} vertices are too few for n_refined = {n_refined}; lower it"
+                f"{shape.name}: {shape.n_vertices} vertices, too few for n_refined = {n_refined}; lower it"
             )
         if shape.faces is not None:
             a, b, c = (shape.vertices - shape.vertices.mean(axis=0))[shape.faces.T]
             volumes[k] = float(np.einsum("fx,fx->", a, np.cross(b, c))) / 6 / shape.area**1.5
     inside_out = [shapes[k].name for k, volume in volumes.items() if volume < -1e-3]
     if inside_out and len(inside_out) < len(volumes):
-        raise ValueError(
-            f"{', '.join(inside_out)}: mirrored or inside out (negative volume) while the others are not; "
-            "mirror it back, or reverse the order of corners in every face"
-        )
+        todo = "mirror it back, or reverse the order of corners in every face"
+        raise ValueError(f"{', '.join(inside_out)}: mirrored or inside out while the others are not; {todo}")
 
 
 def checked_landmarks(
@@ -308,17 +283,13 @@ def checked_landmarks(
 ) -> Sequence[np.ndarray]:
     """The vertices (L,) of each shape."""
     if len(landmarks) != len(shapes):
-        raise ValueError(
-            f"landmarks: {len(landmarks)} rows for {len(shapes)} shapes; give one row of vertices for each"
-        )
+        raise ValueError(f"landmarks: {len(landmarks)} rows for {len(shapes)} shapes; give one row for each")
     marks = []
     for k, (given, shape) in enumerate(zip(landmarks, shapes)):
         row = f"landmarks[{k}] (of {shape.name})"
         marks.append(checks.indices(row, given, shape.n_vertices))
         if len(marks[k]) != len(marks[0]):
-            raise ValueError(
-                f"{row}: {len(marks[k])} vertices, {shapes[0].name} has {len(marks[0])}; give as many of each shape"
-            )
+            raise ValueError(f"{row}: {len(marks[k])} vertices, {shapes[0].name} has {len(marks[0])}; give as many")
         again = np.setdiff1d(np.arange(len(marks[k])), np.unique(marks[k], return_index=True)[1])
         if again.size:
             raise ValueError(f"{row}[{again[0]}]: vertex {marks[k][again[0]]} is repeated; remove it from every shape")
@@ -368,10 +339,8 @@ def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
         raise ValueError(f"{names} differ in spectrum by {2 * apart.max():.0%}: they are not poses of one surface")
     worst = int(apart.argmax())
     if len(shapes) > 2 and apart[worst] > max(_OUTLIER, 3 * np.median(apart)):
-        raise ValueError(
-            f"{shapes[worst].shape.name} is unlike the rest: its spectrum differs by {apart[worst]:.0%} from the "
-            f"median shape, the others by {np.median(apart):.0%}; leave this likely outlier out"
-        )
+        far = f"its spectrum differs by {apart[worst]:.0%} from the median shape, the others by {np.median(apart):.0%}"
+        raise ValueError(f"{shapes[worst].shape.name} is unlike the rest: {far}; leave this likely outlier out")
 
 
 def with_proposals(
@@ -394,10 +363,8 @@ def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches:
     for k, shape in enumerate(shapes):
         own = ratio[(edges == k).any(axis=1)]
         if shape.orientation is not None and len(own) and np.median(own) < _MIRRORED:
-            raise ValueError(
-                f"{shape.shape.name}: maps that turn left into right keep distances far better than those that do not: "
-                "the mesh is mirrored; mirror it back"
-            )
+            told = "maps that turn left into right keep distances far better than those that do not"
+            raise ValueError(f"{shape.shape.name}: {told}: the mesh is mirrored; mirror it back")
 
 
 def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:

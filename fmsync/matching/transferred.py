@@ -38,8 +38,6 @@ def transfer(
     Floating-point numbers are functions, anything else (integers, words, booleans) labels. The images of a vertex on
     shape i follow :func:`image_probabilities`, by the ``calibration`` or the one that comes with the package.
 
-    Examples
-    --------
     >>> import data_gen, fmsync
     >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
     >>> small = dict(n_basis=10, n_refined=20, n_samples=150, n_draws=500)

@@ -25,24 +25,20 @@ class HMC(Sampler):
     r"""Hamiltonian Monte Carlo on :math:`SO(n)^N` with trivialised momenta.
 
     Momenta :math:`p_i=\mathrm{skew}(Z_i)` in the body frame have kinetic energy :math:`\tfrac12\lVert p\rVert_F^2`. A
-    step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon p_i)`,
-    half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. The geodesic
-    energy needs κ or β, because its normaliser is not known; its gradient jumps on the cut locus, where draws stay
-    exact and fewer are accepted.
+    step is half a kick, a move :math:`C_i\leftarrow C_i\exp(\varepsilon p_i)` or :math:`C_i\,\mathrm{cay}(\varepsilon
+    p_i)`, half a kick: either is reversible and keeps the volume, so that the Metropolis test makes it exact. The
+    geodesic energy needs κ or β, because its normaliser is not known; its gradient jumps on the cut locus, where draws
+    stay exact and fewer are accepted.
 
-    Parameters
-    ----------
-    integrator, step
-        ``"cayley"`` or ``"exp"``; ε > 0, for all chains; by default adapted for each chain by dual averaging in the warm-up (Hoffman & Gelman
-        2014), towards 80 % acceptance, and then frozen.
-    length
-        Time ε L of a trajectory. By default a quarter of the mean period, from the curvature that the warm-up sees:
-        :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`; without a warm-up from the mean degree. Every
-        trajectory takes 50 to 150 % of it.
+    * ``integrator``: ``"cayley"`` or ``"exp"``.
+    * ``step``, ε > 0, for all chains: by default adapted for each by dual averaging in the warm-up (Hoffman & Gelman
+      2014), towards 80 % acceptance.
+    * ``length``, time ε L of a trajectory: by default a quarter of the mean period, from the curvature that the warm-up
+      sees, :math:`E\lVert\nabla V\rVert^2 = E\operatorname{tr}\nabla^2V`, without one from the mean degree. Every
+      trajectory takes 50 to 150 % of it.
 
-    What the warm-up adapts is frozen before the first step after it: a length that followed the state would make the
-    kernel inexact.
-    """  # noqa: E501
+    What the warm-up adapts is frozen after it: a length that followed the state would make the kernel inexact.
+    """
 
     _target = 0.8
     _observed: np.ndarray
@@ -69,10 +65,8 @@ class HMC(Sampler):
                 checks.positive(name, size)
         problem, self._euclidean = target.problem, target.energy == "euclidean"
         if not (self._euclidean or isinstance(target.kappa, float)):
-            raise ValueError(
-                "kappa: the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with "
-                "it; give kappa or beta, or use energy='euclidean'"
-            )
+            why = "the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with it"
+            raise ValueError(f"kappa: {why}; give kappa or beta, or use energy='euclidean'")
         self._problem, self._rng, self._exp = problem, rng, integrator == "exp"
         self._field = so.transpose(target.field)  # κ_i M_i, or empty
         self._concentration = Concentration(target, len(start), rng)

@@ -29,18 +29,13 @@ class RLFM(Sampler):
     with standard normal Z_i, for the density :math:`\exp(-\beta U)` with respect to Haar measure. The paper prints the
     drift with a plus sign; that chain climbs U and samples :math:`\exp(+\beta U)`.
 
-    Parameters
-    ----------
-    retraction
-        R: ``"exp"``, along geodesics, or ``"qf"``, the Q factor of C + V.
-    constrained
-        False: arbitrary matrices with the energy :math:`\sum w\lVert C_i C_{ij}-C_j\rVert_F^2`, MC (1) of the paper, in
-        the gauge C_1 = I (or that of the prior); without a gauge its mean is 0. Draws are projected one by one.
-    step
-        h > 0. By default :math:`h/\beta = 1/(10\,(\kappa\deg_{\max} + n))`, a small part of the time in which the
-        stiffest direction relaxes; the noise then turns no plane by more than about half a radian.
-    drift
-        ``"descent"``, or ``"printed"`` for the sign that the paper prints.
+    * ``retraction``, R: ``"exp"``, along geodesics, or ``"qf"``, the Q factor of C + V.
+    * ``constrained`` False: arbitrary matrices with the energy :math:`\sum w\lVert C_i C_{ij}-C_j\rVert_F^2`, MC (1) of
+      the paper, in the gauge C_1 = I (or that of the prior), without which its mean is 0. Draws are projected one by
+      one.
+    * ``step``, h > 0: by default :math:`h/\beta = 1/(10\,(\kappa\deg_{\max} + n))`, a small part of the time in which
+      the stiffest direction relaxes; the noise then turns no plane by more than about half a radian.
+    * ``drift``: ``"descent"``, or ``"printed"`` for the sign that the paper prints.
     """
 
     @checked(start="K N n n", step=checks.positive)

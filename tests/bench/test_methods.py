@@ -186,7 +186,7 @@ def test_files_that_add_nothing_or_take_a_name(tmp_path):
     )
     kept = methods._REGISTRY["oracle"]
     try:
-        with pytest.raises(ValueError, match="'oracle' is taken by bench.methods.oracle"):
+        with pytest.raises(ValueError, match="'oracle' is taken by bench.methods.controls"):
             methods.load(tmp_path / "thief_for_a_test.py")
     finally:
         methods._REGISTRY["oracle"] = kept

@@ -9,10 +9,9 @@ import pyvista as pv
 from scipy.sparse import coo_array
 
 import fmsync
-from data_gen import cat_mesh
-from data_gen.cat_body import BLEND, bones, cones, skin
+from data_gen.cat_body import BLEND, cat_body
 from data_gen.cat_pose import POSES, Rig, joint_transforms, muscle_tone
-from data_gen.cats import cats, left_right_flip
+from data_gen.cats import cats, left_right_flip, rest_mesh
 from data_gen.report import edge_distortion
 from data_gen.self_intersection import self_intersections
 from data_gen.truth import fix_signs
@@ -34,7 +33,7 @@ def small():
 @pytest.fixture(scope="module")
 def rest():
     """Vertices, faces and mirror, made here and not read from a cache."""
-    return cat_mesh.rest_mesh(1000)
+    return rest_mesh(1000)
 
 
 @pytest.fixture(scope="module")
@@ -156,18 +155,19 @@ def test_nearly_all_maps_are_far_from_singular(maps):
 
 def test_head_tail_and_paws_are_the_extrema_of_geodesic_distance(default):
     """Farthest from the middle of the body, and farther than all vertices around them."""
-    cat = default[0]
-    names = [bone.name for bone in bones()]
-    rig = Rig(cat.vertices, cat.faces)  # standing, nearly at rest: its weights tell the parts of the body
+    first, body = default[0], cat_body()
+    names = [bone.name for bone in body.bones]
+    # standing, nearly at rest: its weights tell the parts of the body
+    rig = Rig(first.vertices, first.faces, body.bones, body.cones())
     owner = np.array(names)[rig.weights.argmax(axis=1)]
-    solver = pp3d.MeshHeatMethodDistanceSolver(cat.vertices, cat.faces)
-    sources = np.linspace(0, cat.n_vertices - 1, 40).astype(int)
+    solver = pp3d.MeshHeatMethodDistanceSolver(first.vertices, first.faces)
+    sources = np.linspace(0, first.n_vertices - 1, 40).astype(int)
     mean_distance = np.mean([solver.compute_distance(v) for v in sources], axis=0)
-    ends = np.unique(edges_of_faces(cat.faces), axis=0)
+    ends = np.unique(edges_of_faces(first.faces), axis=0)
     near = np.concatenate([ends, ends[:, ::-1]])
-    links = coo_array((np.ones(len(near)), near.T), shape=(cat.n_vertices,) * 2).tocsr()
+    links = coo_array((np.ones(len(near)), near.T), shape=(first.n_vertices,) * 2).tocsr()
     around = ((links @ links @ links) > 0).tocoo()  # three rings
-    highest = np.zeros(cat.n_vertices)
+    highest = np.zeros(first.n_vertices)
     np.maximum.at(highest, around.row, mean_distance[around.col])
     extrema = set(owner[mean_distance >= highest])
     paws = {"left hand", "right hand", "left toes", "right toes"}
@@ -220,17 +220,18 @@ def test_bad_requests_are_refused(arguments, reason):
 
 def test_a_pose_with_an_unknown_joint_is_refused():
     with pytest.raises(ValueError, match="no joint 'wing'"):
-        joint_transforms({"wing": (0, 0, 10)})
+        joint_transforms({"wing": (0, 0, 10)}, cat_body().bones)
 
 
 def test_bones_move_rigidly_and_stay_joined():
-    names = [bone.name for bone in bones()]
+    bones = cat_body().bones
+    names = [bone.name for bone in bones]
     for pose in POSES.values():
-        rotations, translations = joint_transforms(pose)
+        rotations, translations = joint_transforms(pose, bones)
         np.testing.assert_allclose(
             rotations @ rotations.swapaxes(1, 2), np.tile(np.eye(3), (len(names), 1, 1)), atol=1e-12
         )
-        for k, bone in enumerate(bones()):
+        for k, bone in enumerate(bones):
             if bone.parent is not None:
                 parent, joint = names.index(bone.parent), np.array(bone.joint)
                 carried = [rotations[b] @ joint + translations[b] for b in (k, parent)]
@@ -239,12 +240,13 @@ def test_bones_move_rigidly_and_stay_joined():
 
 def test_rest_pose_without_tone_changes_nothing(rest):
     vertices, faces, _ = rest
-    posed = Rig(vertices, faces).pose({}, np.zeros_like(muscle_tone(0)))
+    posed = Rig(vertices, faces, cat_body().bones, cat_body().cones()).pose({}, np.zeros_like(muscle_tone(0)))
     np.testing.assert_allclose(posed, vertices, atol=1e-9)
 
 
 def test_the_skin_surrounds_the_bones_and_the_vertices_lie_on_it(rest):
-    inside = np.array([cone.start for cone in cones()])
+    skin = cat_body().skin
+    inside = np.array([cone.start for cone in cat_body().cones()])
     assert (skin(inside) < 0).all()
     vertices, _, _ = rest
     assert np.abs(skin(vertices)).max() < 1e-3 * BLEND
