@@ -96,8 +96,9 @@ class HeatBath(Sampler):
     def log_likelihood(self) -> np.ndarray:
         r"""(K,) the part of the log-likelihood that :meth:`set_temperature` multiplies, up to a constant.
 
-        All of it for Langevin noise, with outliers or without; for projected noise the coupling of maps and observations
-        alone, :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and σ² proper.
+        All of it for Langevin noise, with outliers or without; for projected noise the coupling of maps and
+        observations alone, :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and
+        σ² proper.
         """
         if self._latent is None:
             return self._concentration.log_likelihood(self._traces)
