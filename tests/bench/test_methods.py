@@ -101,13 +101,14 @@ def test_confidence_balls_report_what_they_hold(planted):
     assert shares[-1] > 0.5
 
 
-def test_truncated_least_squares_leave_the_outliers_out(planted):
+def test_truncated_least_squares_and_cycles_leave_the_outliers_out(planted):
     problem = planted(n_nodes=12, n=8, sigma2=0.01, outliers=0.3)
     pairs = problem.pairs()
     error = {name: frobenius_errors(answer(name, problem).relative(pairs), problem.relative(pairs)).mean()
-             for name in ("gnc-tls", "mle", "robust")}  # fmt: skip
+             for name in ("cemp", "gnc-tls", "mle", "robust")}  # fmt: skip
     assert error["gnc-tls"] < 0.7 * error["mle"]
     assert error["gnc-tls"] < 1.1 * error["robust"]
+    assert error["cemp"] < 0.8 * error["mle"]
 
 
 def test_convergence_ends_at_the_answer(planted):
