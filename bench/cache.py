@@ -9,10 +9,6 @@ from pathlib import Path
 from fmsync.files import replacing
 
 
-class CorruptRecordError(ValueError):
-    """A file of the result cache cannot be trusted."""
-
-
 def key_of(content: Mapping[str, object]) -> str:
     """SHA-256 of plain JSON values; the order of the keys does not matter.
 
@@ -42,10 +38,7 @@ class ResultCache:
             self.path(key, "failed").unlink(missing_ok=True)
 
     def read(self, key: str, suffix: str = "json") -> dict | None:
-        """The record of a finished run or, with the suffix ``"failed"``, of its last failure; None if there is none.
-
-        A :class:`CorruptRecordError` if the file is there but damaged.
-        """
+        """Record of a finished run, or of its last failure ("failed"); None if there is none, ValueError if damaged."""
         path = self.path(key, suffix)
         try:
             wrapped = json.loads(path.read_bytes())
@@ -54,7 +47,7 @@ class ResultCache:
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError) as error:
-            raise CorruptRecordError(f"{path}: damaged record; the run will be repeated") from error
+            raise ValueError(f"{path}: damaged record; the run will be repeated") from error
         return wrapped["record"]
 
 

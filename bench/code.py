@@ -40,10 +40,7 @@ def _hash_of_code(file: Path) -> str:
 
 
 def data_hash(generator: str, problem: Mapping[str, object]) -> str:
-    """SHA-256 over names and bytes of the files that a problem is read from; empty where there are none.
-
-    A generator's module says which they are in a function ``data_files(problem)``, if it reads any.
-    """
+    """SHA-256 over names and bytes of the ``data_files(problem)`` of its generator's module; empty without any."""
     files_of = getattr(importlib.import_module(generator.partition(":")[0]), "data_files", None)
     files = files_of(problem) if files_of else []
     told = [f"{file.name}\n{_hash_of_data(file, file.stat().st_mtime_ns, file.stat().st_size)}\n" for file in files]

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import json
 import os
 import pickle
 import re
@@ -14,7 +15,7 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numba
@@ -31,7 +32,6 @@ from fmsync.threads import single_threaded_blas
 
 _ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
 _SERVE = [sys.executable, "-c", "from bench.execute import serve; serve()"]
-_NO_LIMITS = contextlib.nullcontext()
 _WORKERS: set[subprocess.Popen] = set()  # all of this process ...
 _IDLE: list[subprocess.Popen] = []  # ... and those without a run
 
@@ -80,12 +80,12 @@ def serve() -> None:
     with contextlib.suppress(EOFError):
         while True:
             run, commit, replica = pickle.load(sys.stdin.buffer)
-            pickle.dump(execute(run, commit, replica, limits=process_limits(run)), records)
+            pickle.dump(execute(run, commit, replica, limited=True), records)
             records.flush()
 
 
-def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limits=_NO_LIMITS) -> dict:
-    """Make the problem, run the method within ``limits`` (a context manager), measure the answer.
+def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limited: bool = False) -> dict:
+    """Make the problem, run the method (within the limits of the run, see :func:`process_limits`), measure the answer.
 
     Replica 0 belongs into a table. Replica k >= 1 shows how much the answer varies: a sampler draws other random
     numbers; any other method keeps them and gets observed maps, and bases, whose entries are moved by about 1e-13, as
@@ -101,10 +101,10 @@ def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limits=_NO_L
             warnings.simplefilter("always")
             planted = _problem(run.generator, tuple(run.problem.items()), run.seed, run.content["data"])
             planted, rng = _replicated(planted, run.seed, method.kind, replica)
-            _warm(method, run.options)
+            _warm(run.method, json.dumps(run.options))
             before = _peak(forget=True)
             began, cpu = time.perf_counter(), time.process_time()
-            with limits:
+            with process_limits(run) if limited else contextlib.nullcontext():
                 answer = method.run(planted, rng, run.options)
             spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
             if replica and method.kind == "sampler":
@@ -132,8 +132,7 @@ def process_limits(run: Run) -> Iterator[None]:
     before = soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     with contextlib.suppress(OSError):  # systems without /proc do not say how large a process is
         size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        most = [int(size + run.memory * 2**20), *(one for one in before if one != resource.RLIM_INFINITY)]
-        soft = min(most)
+        soft = min([int(size + run.memory * 2**20), *(one for one in before if one != resource.RLIM_INFINITY)])
     resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
     signal.setitimer(signal.ITIMER_REAL, run.seconds)
     try:
@@ -165,20 +164,15 @@ def _replicated(planted: Planted, seed: int, kind: str, replica: int) -> tuple[P
     return replace(planted, problem=replace(planted.problem, maps=maps), bases=bases), method_rng(seed)
 
 
-_WARMED: set[str] = set()
-
-
-def _warm(method: methods.Method, options) -> None:
-    """Compile and import what the method needs on a toy, so that its first run does not pay for it."""
-    name = f"{method.name} {options}"
-    if name in _WARMED:
-        return
-    _WARMED.add(name)
+@cache
+def _warm(name: str, options: str) -> None:
+    """Compile and import what a method needs, with options as JSON, on a toy: its first run is not to pay for it."""
+    method = methods.get(name)
     eye = np.broadcast_to(np.eye(4), (3, 4, 4))
     toy = Planted(SyncProblem(3, [[0, 1], [1, 2], [0, 2]], eye), eye)
     quick = {"n_draws": 20, "warmup": 10, "thin": 1} if method.kind == "sampler" else {}
     with contextlib.suppress(Exception):  # what is wrong will show on the real problem
-        method.run(toy, np.random.default_rng(0), {**options, **quick})
+        method.run(toy, np.random.default_rng(0), {**json.loads(options), **quick})
 
 
 @contextlib.contextmanager

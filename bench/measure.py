@@ -16,19 +16,12 @@ _LARGEST_POINT_ERROR = 0.25
 
 
 def method_rng(seed: int) -> np.random.Generator:
-    """The generator of a method.
-
-    Problem generators draw from streams named by the seed and small numbers; a method that drew from one of those would
-    start at the truth.
-    """
+    """The generator of a method, none of those that make problems: drawing from one it would start at the truth."""
     return np.random.default_rng([seed, 0x6D6574686F64])
 
 
 def measure(planted: Planted, answer) -> list[list]:
-    """All metrics that make sense for this problem and this answer, as rows (name, at, value).
-
-    ``at`` is the abscissa of metrics that are curves, None of the others.
-    """
+    """All metrics that make sense here, as rows (name, at, value); ``at`` is the abscissa of curves, else None."""
     edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
     pairs = planted.pairs()
     edges = edges if len(edges) <= len(pairs) else edges[metrics.thinned(len(edges), len(pairs))]

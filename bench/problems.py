@@ -16,11 +16,11 @@ from data_gen.graphs import random_graph
 from data_gen.noise import perturb
 from data_gen.truth import GroundTruth, ground_truth
 from data_gen.truth import planted as planted_rotations
-from fmsync import bounds, laplace_beltrami
-from fmsync.shape import Basis, Shape
+from fmsync import bounds
+from fmsync.shape import Shape
 
 _MOST_NODES = 1500  # beyond it the factor of a random graph's Laplacian is dense, and there are no reference lines
-_ONE_EDGE = np.array([[0, 1]])
+_ONE_EDGE = np.array([[0, 1]])  # of resistance 1
 
 
 def rotations(
@@ -64,12 +64,12 @@ def shapes(
     """
     for_graph, for_choice, for_noise = _streams(seed)
     source = collection, n_vertices, _stamps(collection)
-    loaded, bases = _loaded(*source), _bases(*source, n)
+    loaded = _loaded(*source)
     if n_nodes > len(loaded):
         raise ValueError(f"n_nodes: {n_nodes} shapes of a collection of {len(loaded)}")
     chosen = np.sort(for_choice.permutation(len(loaded))[:n_nodes])
     graph = random_graph(n_nodes, density, for_graph)
-    truth = ground_truth([loaded[k] for k in chosen], graph, n, bases=[bases[k] for k in chosen])
+    truth = ground_truth([loaded[k] for k in chosen], graph, n)
     protocol = {"sigma2": sigma2, "kappa": kappa, "noise": noise, "two_way": two_way, "outliers": outliers}
     planted = _observed(truth, for_noise, around=around, **protocol)
     if not points:
@@ -105,7 +105,7 @@ def _references(problem, sigma2, kappa, noise, outliers, **_) -> dict[str, float
         return {"floor_rms": float(np.sqrt(bounds.langevin_error_bound(2, _ONE_EDGE, n, kappa)[0] * resistance))}
     found = {"floor_rms": float(np.sqrt(n * (n - 1) / 2 * sigma2 * resistance))}
     if noise == "projected-gaussian":
-        found["expected_rms"] = float(_expected_on_one_edge(n, sigma2) * np.sqrt(resistance))
+        found["expected_rms"] = float(bounds.expected_rms_error(2, _ONE_EDGE, n, sigma2)[0] * np.sqrt(resistance))
     return found
 
 
@@ -114,11 +114,6 @@ def _mean_resistance(n_nodes: int, ends: tuple[int, ...]) -> float:
     """Of the pairs that are observed, each once; many problems share a graph."""
     edges = np.reshape(ends, (-1, 2))
     return float(bounds.effective_resistance(n_nodes, edges, np.unique(np.sort(edges, axis=1), axis=0)).mean())
-
-
-@lru_cache(maxsize=64)
-def _expected_on_one_edge(n: int, sigma2: float) -> float:
-    return float(bounds.expected_rms_error(2, _ONE_EDGE, n, sigma2)[0])  # R = 1
 
 
 def _stamps(collection: str) -> tuple:
@@ -130,11 +125,6 @@ def _stamps(collection: str) -> tuple:
 @lru_cache(maxsize=4)
 def _loaded(name: str, n_vertices: int, stamps: tuple) -> list[Shape]:
     return load_collection(name, n_vertices=n_vertices) if name == "cats" else load_collection(name)
-
-
-@lru_cache(maxsize=4)
-def _bases(name: str, n_vertices: int, stamps: tuple, n: int) -> list[Basis]:
-    return [laplace_beltrami(s.vertices, s.faces, n) for s in _loaded(name, n_vertices, stamps)]
 
 
 @lru_cache(maxsize=16)

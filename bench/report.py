@@ -162,22 +162,16 @@ def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
         for row in table.assign(line=line).drop_duplicates(["density", "sigma2"]).itertuples():
             cells[f"{name} (rms)", row.density, row.noise] = row.line
     wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
-    return (
-        f"{variant_name(**variant)}\nours [95 % interval] / paper; "
-        f"* = the printed number lies in the interval; ' = beyond the recovery threshold; "
-        f"(bound) = errors are too large for it\n{wide.to_string()}"
-    )
+    legend = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
+    return f"{variant_name(**variant)}\n{legend}threshold; (bound) = errors are too large for it\n{wide.to_string()}"
 
 
 def _made_by(frame: pd.DataFrame) -> str:
-    commit, machine, versions = (
-        "; ".join(sorted(filter(None, frame[name].dropna().unique()))) for name in ("commit", "machine", "versions")
-    )
     seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
-    return (
-        f"suite {frame.suite.iloc[0]}: {seeds.sum()} runs, {seeds.min()} to {seeds.max()} seeds\n"
-        f"commit {commit}\nmachine {machine}\n{versions}"
-    )
+    told = [f"suite {frame.suite.iloc[0]}: {seeds.sum()} runs, {seeds.min()} to {seeds.max()} seeds"]
+    for name, label in (("commit", "commit "), ("machine", "machine "), ("versions", "")):
+        told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
+    return "\n".join(told)
 
 
 def _named(problem: str) -> str:

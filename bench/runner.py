@@ -5,15 +5,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 
-from bench.cache import CorruptRecordError, ResultCache
+from bench.cache import ResultCache
 from bench.execute import end_workers, isolated, record_of
 from bench.provenance import current_commit
 from bench.suites import Run
 from fmsync.extras import require
-
-
-class RunError(ValueError):
-    """The suite had to stop; the message says why, what is kept and what to do."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ def run_suite(
 
     ``n_jobs`` at a time on this machine, each with one BLAS thread, or on the Dask cluster whose ``scheduler`` has this
     address: runs of a worker that dies are given to another one. ``on_record`` is told of every run as it ends,
-    ``on_start`` first of how many were found and are left. A :class:`RunError` where nothing can be written (a full
+    ``on_start`` first of how many were found and are left. A ValueError where nothing can be written (a full
     disk), or the scheduler cannot be reached.
     """
     if n_jobs < 1:
@@ -46,12 +42,12 @@ def run_suite(
     try:
         cache.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunError(f"{cache.folder}: cannot be made ({error}); name another folder with --cache") from error
+        raise ValueError(f"{cache.folder}: cannot be made ({error}); name another folder with --cache") from error
     done, corrupt, waiting = {}, {}, {}
     for run in runs:
         try:
             done[run.key] = cache.read(run.key)
-        except CorruptRecordError as error:
+        except ValueError as error:
             corrupt[run.key] = str(error)
         if done.get(run.key) is None:
             waiting[run.key] = run
@@ -63,7 +59,7 @@ def run_suite(
                 cache.write(run.key, record)
             except OSError as error:
                 message = f"{cache.folder}: cannot write ({error}); finished runs are kept, make room and run again"
-                raise RunError(message) from error
+                raise ValueError(message) from error
             done[run.key] = record
             on_record(run, record)
     return Outcome(tuple({**done[run.key], "label": run.label} for run in runs), n_cached, tuple(corrupt.values()))
@@ -108,7 +104,7 @@ def _executor(n_jobs: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         client = distributed.Client(scheduler, timeout=5)
     except (OSError, TimeoutError, ValueError) as error:
-        todo = "start 'dask scheduler' and 'dask worker', and give its tcp:// address"
-        raise RunError(f"scheduler: {scheduler} cannot be reached ({error or type(error).__name__}); {todo}") from error
+        why = f"cannot be reached ({error or type(error).__name__}); start 'dask scheduler' and 'dask worker'"
+        raise ValueError(f"scheduler: {scheduler} {why}, and give its tcp:// address") from error
     with client, client.get_executor(pure=False) as executor:
         yield executor

@@ -27,9 +27,8 @@ def to_arviz(post: Draws, edges: np.ndarray | None = None) -> Any:
     """Gauge-invariant scalars of every draw as ArviZ's DataTree, or InferenceData where only ArviZ before 1.0 is there.
 
     The group ``posterior`` holds the numbers of :func:`fmsync.diagnostics.scalars` for the pairs ``edges`` (E, 2):
-    ``energy`` and, where it was inferred, ``log_kappa`` with dimensions (chain, draw); ``trace`` and ``first_entry`` of
-    the relative maps (chain, draw, pair). Their R-hat and ESS are those of :func:`fmsync.diagnostics.summary`, the tail
-    ESS with ``prob=(0.05, 0.95)``. Absolute maps are left out: their gauge is arbitrary.
+    ``energy`` and, where it was inferred, ``log_kappa`` (chain, draw); ``trace`` and ``first_entry`` of the relative
+    maps (chain, draw, pair). Tail ESS is that of :func:`fmsync.diagnostics.summary` with ``prob=(0.05, 0.95)``.
     """
     values = scalars(post, edges)
     pairs = [name[5:-1] for name in values if name.startswith("tr ")]
@@ -44,12 +43,9 @@ def to_arviz(post: Draws, edges: np.ndarray | None = None) -> Any:
 
 def to_pyfm(shape: Shape, basis: Basis | None = None) -> Any:
     """A pyFM ``TriMesh`` of unit area; its spectrum is ``basis``, if given, so that maps are in our basis."""
-    mesh = require("pyFM.mesh", "bench").TriMesh(
-        shape.vertices.copy(),
-        None if shape.faces is None else shape.faces.copy(),
-        area_normalize=shape.faces is not None,
-        name=shape.name,
-    )
+    faces, options = shape.faces, {"area_normalize": shape.faces is not None, "name": shape.name}
+    tri_mesh = require("pyFM.mesh", "bench").TriMesh
+    mesh = tri_mesh(shape.vertices.copy(), None if faces is None else faces.copy(), **options)
     if basis is not None:
         mesh.eigenvalues, mesh.eigenvectors = basis.eigenvalues.copy(), basis.eigenfunctions.copy()
         mesh.mass = diags_array(basis.mass).tocsc()
@@ -60,35 +56,30 @@ def from_pyfm(mesh: Any) -> tuple[Shape, Basis]:
     """Shape and basis, scaled to unit area, of a pyFM ``TriMesh`` after its ``process``."""
     if mesh.eigenvectors is None:
         raise ValueError(f"mesh: {mesh.name or 'the TriMesh'} has no spectrum yet; call its process(k) first")
-    shape = Shape(mesh.vertices, mesh.faces, mesh.name or "shape")
-    basis = Basis(
-        mesh.eigenvalues * mesh.area, mesh.eigenvectors * np.sqrt(mesh.area), np.asarray(mesh.vertex_areas) / mesh.area
-    )
-    return shape, basis
+    area, mass = mesh.area, np.asarray(mesh.vertex_areas) / mesh.area
+    basis = Basis(mesh.eigenvalues * area, mesh.eigenvectors * np.sqrt(area), mass)
+    return Shape(mesh.vertices, mesh.faces, mesh.name or "shape"), basis
 
 
 def to_pyfm_maps(problem: SyncProblem) -> dict[tuple[int, int], np.ndarray]:
     r"""Maps of a problem as pyFM's ``FMN.set_maps`` takes them: key (i, j) holds ``FM_ij`` (n, n), our :math:`C_{ji}`.
 
     pyFM's ``FM_12`` takes coefficients on mesh 1 to mesh 2, our :math:`C_{ij}` those on j to i, so the matrices are the
-    same and the names reversed: :math:`C_{21}` is ``FM_12``. Its ``p2p_21`` names a vertex of 1 for every vertex of 2,
-    as our point map from 2 to 1 does. Both directions are given, one the transpose of the other; of repeats the mean.
+    same and the names reversed: :math:`C_{21}` is ``FM_12``, and ``p2p_21`` our point map from 2 to 1. Both directions
+    are given, one the transpose of the other; of repeats the mean.
     """
-    maps: dict[tuple[int, int], Any] = {}
-    counts: dict[tuple[int, int], int] = {}
+    maps: dict[tuple[int, int], list[np.ndarray]] = {}
     for (i, j), c in zip(problem.edges.tolist(), problem.maps):
-        for pair, observation in (((j, i), c), ((i, j), c.T)):
-            maps[pair] = maps.get(pair, 0.0) + observation
-            counts[pair] = counts.get(pair, 0) + 1
-    return {pair: total / counts[pair] for pair, total in maps.items()}
+        maps.setdefault((j, i), []).append(c)
+        maps.setdefault((i, j), []).append(c.T)
+    return {pair: np.mean(observed, axis=0) for pair, observed in maps.items()}
 
 
 def from_pyfm_maps(maps: Mapping[tuple[int, int], np.ndarray]) -> SyncProblem:
     """The problem of some pyFM maps: ``FM_ij`` (n, n) under the key (i, j), meshes counted from zero.
 
     The edge of ``FM_ij`` is (j, i): see :func:`to_pyfm_maps`. Maps are near rotations only between meshes of one area
-    (pass ``area_normalize=True`` to ``TriMesh``); a ValueError names the first map that is not square or of another
-    size than the rest.
+    (``TriMesh(..., area_normalize=True)``); a ValueError names the first map that is not square or of another size.
 
     >>> from_pyfm_maps({(0, 1): np.eye(3), (1, 2): np.eye(3)}).edges.tolist()
     [[1, 0], [2, 1]]
@@ -125,8 +116,7 @@ def to_pymanopt(problem: SyncProblem) -> Any:
     r"""A ``pymanopt.Problem``: the Euclidean energy on :math:`SO(n)^N` with its gradient and Hessian.
 
     A point is (N, n, n), the cost :math:`U_E = \mathrm{const} - \sum_j\operatorname{tr}(C_j^\top S_j)`. The manifold is
-    ``SpecialOrthogonalGroup(n, k=N)``, never a ``Product``, whose Riemannian Hessian is wrong (pymanopt issue 219), so
-    that trust regions do not converge.
+    ``SpecialOrthogonalGroup(n, k=N)``: the Riemannian Hessian of a ``Product`` is wrong (pymanopt issue 219).
     """
     pymanopt = require("pymanopt", "bench")
     manifold = require("pymanopt.manifolds", "bench").SpecialOrthogonalGroup(problem.n, k=problem.n_nodes)

@@ -73,8 +73,8 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
     r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 
     The ball of a map is centred at the mean m of the *even* ``draws`` (T, K, n, n), T >= 4, and its radius is the
-    quantile of :math:`\lVert X-m\rVert` over the *odd* ones: a centre taken from the same draws would lie too close to
-    them. :func:`ball_level` loses no draws to this, and needs draws that hardly depend on each other.
+    quantile of :math:`\lVert X-m\rVert` over the *odd* ones. :func:`ball_level` loses no draws, and needs that they
+    hardly depend on each other.
     """
     if len(draws) < 4:
         raise ValueError(f"draws: credible balls need at least four, got {len(draws)}")
@@ -93,9 +93,8 @@ def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
 def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Energy score :math:`E\lVert C-C^*\rVert_F - \tfrac12E\lVert C-C'\rVert_F` of draws; lower is better.
 
-    Strictly proper: on average the true posterior cannot be beaten (Gneiting & Raftery 2007). Unbiased, over all pairs
-    of two hundred draws that are evenly spread over those given. For draws (T, n, n) and truth (n, n), or (T, K, n, n)
-    and (K, n, n) of K maps, whose scores are averaged.
+    Strictly proper (Gneiting & Raftery 2007); unbiased, over all pairs of two hundred draws, evenly from those given.
+    For draws (T, n, n) and truth (n, n), or (T, K, n, n) and (K, n, n) of K maps, whose scores are averaged.
 
     >>> energy_score(np.stack([np.eye(3)] * 5), np.eye(3))
     0.0

@@ -1,8 +1,7 @@
 """Descriptors: functions on a shape that an isometry keeps, computed from its Laplace–Beltrami basis.
 
-All of them live on the basis of unit area, so units and scale do not matter. Those of a single shape
-(:func:`heat_kernel_signature`, :func:`wave_kernel_signature`) cannot tell left from right on a symmetric shape;
-:func:`heat_kernel` from a few landmarks can.
+All live on the basis of unit area, so that units do not matter. Signatures cannot tell left from right on a symmetric
+shape; :func:`heat_kernel` from a few landmarks can.
 """
 
 import numpy as np
@@ -16,9 +15,8 @@ from fmsync.shape import Basis
 def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     r"""Heat kernel signature :math:`\sum_k e^{-\lambda_k t} \phi_k(x)^2 / \sum_k e^{-\lambda_k t}` (Sun et al. 2009).
 
-    Times are log-spaced between :math:`4 \ln 10 / \lambda_n` and :math:`4 \ln 10 / \lambda_2`. Dividing by the trace
-    weighs all times alike; the area-weighted mean of every column is then 1. Returns (V, ``n_times``) for a basis of at
-    least two eigenfunctions on V vertices, short times first.
+    (V, ``n_times``) for a basis of at least two functions, at times log-spaced between :math:`4 \ln 10 / \lambda_n` and
+    :math:`4 \ln 10 / \lambda_2`, short ones first; the area-weighted mean of every column is 1.
     """
     return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
 
@@ -27,10 +25,8 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
 def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     r"""Wave kernel signature :math:`\sum_k w_k(e) \phi_k(x)^2 / \sum_k w_k(e)` (Aubry et al. 2011).
 
-    Weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced between
-    :math:`\ln \lambda_2 + 2s` and :math:`\ln \lambda_n - 2s`, with s = 7 spacings as Aubry et al. do.
-
-    Returns (V, ``n_energies``), low energies first; the area-weighted mean of every column is 1.
+    (V, ``n_energies``), weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced from
+    :math:`\ln \lambda_2 + 2s` to :math:`\ln \lambda_n - 2s`, s = 7 spacings; the area-weighted mean of a column is 1.
     """
     _check(basis, n_energies, "n_energies")
     logs = np.log(basis.eigenvalues[1:])
@@ -48,9 +44,8 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
 def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.ndarray:
     r"""Heat at every vertex from a unit source at each landmark, :math:`\sum_k e^{-\lambda_k t} \phi_k(x) \phi_k(y)`.
 
-    Each column is scaled to area-weighted norm 1, so that long and short times weigh alike. ``landmarks`` (L,) are
-    vertices y, the same points in the same order on every shape; times are those of :func:`heat_kernel_signature`.
-    Returns (V, L * n_times), the times of the first landmark first.
+    (V, L * n_times), the times of :func:`heat_kernel_signature` of the first landmark first, each column scaled to
+    area-weighted norm 1. ``landmarks`` (L,) are vertices y, the same points in the same order on every shape.
     """
     landmarks = checks.indices("landmarks", landmarks, basis.n_vertices)
     decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)

@@ -86,21 +86,18 @@ class Summary:
         return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))
 
     def __str__(self) -> str:
-        rows = [("", *_COLUMNS), *self._cells()]
-        widths = [max(map(len, column)) for column in zip(*rows)]
-        return "\n".join(
-            "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
-            for row in rows
-        )
+        columns = list(zip(("", *_COLUMNS), *self._cells()))
+        widths = [max(map(len, column)) for column in columns]
+        padded = [[cell.rjust(width) for cell in column] for column, width in zip(columns, widths)]
+        padded[0] = [cell.ljust(widths[0]) for cell in columns[0]]
+        return "\n".join(map("  ".join, zip(*padded)))
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{column}</th>" for column in ("", *_COLUMNS))
-        body = "".join(
-            f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-            for name, *cells in self._cells()
-        )
+        body, head = "", "".join(f"<th>{column}</th>" for column in ("", *_COLUMNS))
+        for name, *cells in self._cells():
+            body += f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
         return f'<table class="dataframe"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
 
     def _cells(self) -> list[tuple[str, ...]]:
@@ -174,9 +171,8 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     Warns with :class:`ConvergenceWarning` when an R-hat is above 1.01 or an effective sample size below 400.
     """
     values = scalars(post, edges)
-    mean, sd, r_hat, bulk, tail = np.array(
-        [(x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for x in values.values()]
-    ).T
+    rows = [(x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for x in values.values()]
+    mean, sd, r_hat, bulk, tail = np.array(rows).T
     _warn(post.method, tuple(values), r_hat, np.fmin(bulk, tail))
     return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
@@ -204,16 +200,12 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
     complaints = []
     if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
         worst = int(np.nanargmax(r_hat))
-        complaints.append(
-            f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree; "
-            "lengthen warmup, or try method='tempered' if it stays"
-        )
+        told = f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree"
+        complaints.append(f"{told}; lengthen warmup, or try method='tempered' if it stays")
     if (effective < _LEAST_ESS).any():
         worst = int(np.nanargmin(effective))
-        complaints.append(
-            f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): raise n_draws or "
-            f"thin{'' if method == 'heat-bath' else ', or use heat-bath where the energy is Euclidean'}"
-        )
+        todo = "raise n_draws or thin" + ", or use heat-bath where the energy is Euclidean" * (method != "heat-bath")
+        complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): {todo}")
     if complaints:
         warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=5)
 

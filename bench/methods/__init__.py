@@ -96,10 +96,7 @@ def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Ans
 
 
 def method(name: str, *, sees_planted: bool = False) -> Callable[[Callable], Callable]:
-    """Register ``(problem, *, rng, **options) -> Answer`` under a name.
-
-    With ``sees_planted`` it is given the :class:`~bench.planted.Planted` problem, truth included: for controls.
-    """
+    """Register ``(problem, *, rng, **options) -> Answer``; ``sees_planted``: it gets the truth, too."""
 
     def register(function: Callable) -> Callable:
         _REGISTRY[name] = Method(name, function, sees_planted=sees_planted)

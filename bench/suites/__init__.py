@@ -89,20 +89,16 @@ class Suite:
     runs: tuple[Run, ...]
 
 
-class SuiteError(ValueError):
-    """A suite file that cannot be read as one; the message names file and line."""
-
-
 def suite_names() -> list[str]:
     """Suites of the package."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def suite_file(name: str | Path) -> Path:
-    """File of a suite of the package, or the ``.toml`` file itself; a SuiteError offers near names."""
+    """File of a suite of the package, or the ``.toml`` file itself; a ValueError offers near names."""
     path = Path(name) if str(name).endswith(".toml") else _FOLDER / f"{name}.toml"
     if not path.is_file():
-        raise SuiteError(f"suite: there is no {str(name)!r}; {near_names(str(name), suite_names())}")
+        raise ValueError(f"suite: there is no {str(name)!r}; {near_names(str(name), suite_names())}")
     return path
 
 
@@ -118,7 +114,7 @@ def load_suite(
     base, _, collection = str(name).partition("@")
     path = suite_file(base if collection else name)
     if seeds is not None and seeds < 1:
-        raise SuiteError(f"seeds: need at least one, got {seeds}")
+        raise ValueError(f"seeds: need at least one, got {seeds}")
     extra = {added: str(Path(file).resolve()) for file in files for added in methods.load(file)}
     reader = _Reader(path, extra)
     runs = reader.runs(seeds)
@@ -127,23 +123,23 @@ def load_suite(
     try:
         runs = [run for run in runs if re.search(only or "", str(run))]
     except re.error as error:
-        raise SuiteError(f"only: {only!r} is not a regular expression: {error}") from None
+        raise ValueError(f"only: {only!r} is not a regular expression: {error}") from None
     if not runs:
-        raise SuiteError(f"only: no run of {path.stem} matches {only!r}")
+        raise ValueError(f"only: no run of {path.stem} matches {only!r}")
     return Suite(path.stem + f"@{collection}" * bool(collection), reader.file["description"], tuple(runs))
 
 
 def _of_collection(runs: Iterable[Run], collection: str, path: Path) -> list[Run]:
     """The runs on shapes, with the shapes of another collection, all of which must be on this machine."""
     if Path(collection).name != collection:
-        raise SuiteError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
+        raise ValueError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
     moved = [replace(c, problem={**c.problem, "collection": collection}) for c in runs if "collection" in c.problem]
     if not moved:
-        raise SuiteError(f"{path}: no grid names a collection that {collection!r} could replace")
+        raise ValueError(f"{path}: no grid names a collection that {collection!r} could replace")
     try:
         data_hash(moved[0].generator, moved[0].problem)
     except ValueError as error:
-        raise SuiteError(f"collection: {error}") from error
+        raise ValueError(f"collection: {error}") from error
     return moved
 
 
@@ -164,7 +160,7 @@ class _Reader:
         try:
             self.file = tomllib.loads(self._text)
         except tomllib.TOMLDecodeError as error:
-            raise SuiteError(f"{path}: {error}") from None
+            raise ValueError(f"{path}: {error}") from None
         self._check(self.file, _TOP, "suite", ("description", "seeds", "grid"))
         self._tables = self.file.get("method", {})
         if other := self.file.get("methods_of"):
@@ -180,7 +176,7 @@ class _Reader:
             try:
                 known = set(inspect.signature(generator_function(generator)).parameters) - {"seed"}
             except ValueError as error:
-                raise SuiteError(f"{self._where(generator)}: {error}") from None
+                raise ValueError(f"{self._where(generator)}: {error}") from None
             self._check_names(grid["problem"], known, f"problem of {generator}")
             entries = {label: self._entry(label) for label in grid["methods"]}
             used = {method for method, _ in entries.values()}
@@ -200,7 +196,7 @@ class _Reader:
         try:
             known = methods.get(name).option_names
         except ValueError as error:
-            raise SuiteError(f"{self._where(name)}: {error}") from None
+            raise ValueError(f"{self._where(name)}: {error}") from None
         if known is not None:
             self._check_names(options, known, f"method {label}")
         return name, options
@@ -209,16 +205,16 @@ class _Reader:
         self._check_names(table, known, where)
         for key, value in table.items():
             if not isinstance(value, known[key]) or isinstance(value, bool):
-                raise SuiteError(f"{self._where(key)}: {key} = {value!r} has the wrong type")
+                raise ValueError(f"{self._where(key)}: {key} = {value!r} has the wrong type")
             if key in _LIMITS and value <= 0:
-                raise SuiteError(f"{self._where(key)}: {key} must be > 0, got {value}")
+                raise ValueError(f"{self._where(key)}: {key} must be > 0, got {value}")
         if missing := [key for key in needed if key not in table]:
-            raise SuiteError(f"{self._where(f'[[{where}]]')}: {missing[0]} is missing")
+            raise ValueError(f"{self._where(f'[[{where}]]')}: {missing[0]} is missing")
 
     def _check_names(self, keys: Iterable[str], known: Iterable[str], where: str) -> None:
         for key in keys:
             if key not in known:
-                raise SuiteError(f"{self._where(key)}: {where} has no key {key!r}; {near_names(key, known)}")
+                raise ValueError(f"{self._where(key)}: {where} has no key {key!r}; {near_names(key, known)}")
 
     def _where(self, word: str) -> str:
         pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")

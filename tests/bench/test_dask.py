@@ -8,7 +8,7 @@ import time
 import pytest
 
 from bench.cache import ResultCache
-from bench.runner import RunError, run_suite
+from bench.runner import run_suite
 from tests.bench.helpers import calls, runs, untimed
 
 distributed = pytest.importorskip("distributed")
@@ -63,5 +63,5 @@ def test_a_worker_dies_and_every_run_is_done(cluster, tmp_path):
 
 def test_an_unreachable_scheduler_is_named(tmp_path):
     todo = runs("trick-count", 1, log=str(tmp_path / "log"))
-    with pytest.raises(RunError, match="tcp://127.0.0.1:1 cannot be reached"):
+    with pytest.raises(ValueError, match="tcp://127.0.0.1:1 cannot be reached"):
         run_suite(todo, ResultCache(tmp_path), scheduler="tcp://127.0.0.1:1")

@@ -14,7 +14,7 @@ import pytest
 from bench import runner
 from bench.cache import ResultCache
 from bench.execute import record_of
-from bench.runner import RunError, run_suite
+from bench.runner import run_suite
 from tests.bench.helpers import TRICKS, calls, runs, untimed
 
 
@@ -115,7 +115,7 @@ def test_a_full_disk_stops_clearly_and_loses_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(ResultCache, "write", full)
     monkeypatch.setattr(runner, "isolated", lambda run, commit: record_of(run, commit, status="ok", wall=0.0))
-    with pytest.raises(RunError, match="No space left.*make room and run again"):
+    with pytest.raises(ValueError, match="No space left.*make room and run again"):
         run_suite(todo, cache, n_jobs=1)
     kept = [cache.read(run.key) for run in todo]
     assert kept[3] is None
@@ -127,7 +127,7 @@ def test_a_full_disk_stops_clearly_and_loses_nothing(tmp_path, monkeypatch):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match="--cache"):
+    with pytest.raises(ValueError, match="--cache"):
         run_suite(runs("identity", 1), ResultCache(tmp_path / "file" / "cache"))
 
 
