@@ -1,6 +1,8 @@
 """Methods of a suite, best first, in words: a list whose entries open on the file that holds the method."""
 
 import html
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,46 +10,7 @@ import pandas as pd
 from bench import methods, report
 
 CONTROLS = ("observed", "identity", "haar-baseline")
-WORDS = {
-    "MC (1)": "MC (1): mean of Langevin draws, matrices",
-    "MC (2)": "MC (2): mean of Langevin draws, rotations",
-    "MC (2) geodesic": "MC (2) with the geodesic energy",
-    "MLE (1)": "MLE (1): maximum likelihood over matrices",
-    "MLE (1) rounded": "MLE (1), rounded to rotations",
-    "MLE (2)": "MLE (2): maximum likelihood over rotations",
-    "Langevin posterior mean": "posterior mean, Langevin noise",
-    "consistent-zoomout": "Consistent ZoomOut, which sees the shapes",
-    "gnc-tls": "graduated non-convexity, truncated squares",
-    "haar-baseline": "the paper's baseline",
-    "heat-bath": "posterior mean, heat bath",
-    "heat-bath projected": "posterior mean under the paper's noise",
-    "hmc": "posterior mean, Hamiltonian Monte Carlo",
-    "identity": "identity maps",
-    "mala": "posterior mean, Metropolis-adjusted Langevin",
-    "mle": "maximum likelihood",
-    "mle-geodesic": "maximum likelihood, geodesic energy",
-    "mle-pymanopt": "maximum likelihood by pymanopt",
-    "mle-pymanopt-autograd": "maximum likelihood by pymanopt, automatic derivatives",
-    "mle-unconstrained": "maximum likelihood over all matrices",
-    "observed": "the observed maps as they are",
-    "posterior mean": "posterior mean, the noise that was added",
-    "pyfm-cycles": "pyFM's network, edges weighed by cycles",
-    "pyfm-cycles-fixed": "pyFM's network, cycles multiplied in order",
-    "pyfm-network": "pyFM's network",
-    "pyfm-projected": "pyFM's network, projected to rotations",
-    "rlfm": "mean of the paper's sampler",
-    "rlfm at beta 1": "mean of the paper's sampler at β = 1",
-    "rlfm at kappa 20": "mean of the paper's sampler, noise level told",
-    "rlfm-geomstats": "the paper's sampler built from geomstats",
-    "robust": "robust maximum likelihood",
-    "robust-l1": "robust maximum likelihood, absolute residuals",
-    "scipy-eigh": "eigenvectors, dense",
-    "spanning-tree": "one tree, no averaging",
-    "spectral": "eigenvectors",
-    "staircase": "maximum likelihood, staircase where the certificate refuses",
-    "way of MLE (1)": "MLE (1) from one random start",
-    "way of MLE (2)": "MLE (2) from one random start",
-}
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
 
 def standings(frame: pd.DataFrame) -> pd.DataFrame:

@@ -98,8 +98,6 @@ def front_paw(shape: Shape) -> int:
 
     Of the four paws it is the one nearest to the reader in the pictures of the book.
 
-    Examples
-    --------
     >>> cat = load_collection("cats", count=1, n_vertices=1000)[0]
     >>> bool(cat.vertices[front_paw(cat), 2] < 0.1)  # of a cat 0.8 high
     True

@@ -92,9 +92,8 @@ def run_sample(options: argparse.Namespace) -> int:
     _check(options)
     problem, began = load_problem(options.problem), time.perf_counter()
     with said_in_plain_words() as said:
-        chosen = {
-            name: getattr(options, name) for name in ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
-        }
+        names = ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
+        chosen = {name: getattr(options, name) for name in names}
         post = sample(problem, options.method, rng=options.seed, **chosen)
     if post.interrupted:
         raise KeyboardInterrupt

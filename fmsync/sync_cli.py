@@ -45,24 +45,16 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
     parser.add_argument("--maps", type=Path, metavar="FOLDER", help="maps of pairs to synchronise, from any matcher")
     parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="of the regions, from ConformalCalibration.save (default: one fitted on random species)",
-    )
+    told = "of the regions, from ConformalCalibration.save (default: one fitted on random species)"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=told)
     parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
     parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")
     parser.add_argument("--samples", type=int, default=1000, help="samples of each shape (%(default)s)")
     parser.add_argument("--draws", type=int, default=1000, help="posterior draws (%(default)s)")
     parser.add_argument("--level", type=float, default=0.9, help="probability of the regions (%(default)s)")
-    parser.add_argument(
-        "--landmarks",
-        type=Path,
-        metavar="FILE",
-        help="text file of vertices, counted from zero, that correspond: a line 'NAME: 12 340 7' for every mesh, or "
-        "lines of numbers alone in the order in which the meshes are listed",
-    )
+    told = "text file of vertices, counted from zero, that correspond: a line 'NAME: 12 340 7' for every mesh, or "
+    told += "lines of numbers alone in the order in which the meshes are listed"
+    parser.add_argument("--landmarks", type=Path, metavar="FILE", help=told)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: cores)")
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
@@ -128,20 +120,10 @@ def run(options: argparse.Namespace) -> int:
             maps = None if options.maps is None else read_maps(options.maps, stems, sizes)
             landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
-            synced = synchronize_shapes(
-                shapes,
-                maps=maps,
-                n_basis=options.basis,
-                n_refined=options.refined,
-                n_samples=options.samples,
-                graph=options.graph,
-                n_draws=options.draws,
-                landmarks=landmarks,
-                jobs=options.jobs,
-                checkpoint=work / "pairs",
-                progress=progress,
-                rng=options.seed,
-            )
+            counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
+            stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
+            given = {"maps": maps, "landmarks": landmarks, "graph": options.graph}
+            synced = synchronize_shapes(shapes, **given, **counts, **stage)
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()

@@ -27,15 +27,12 @@ def explore(
 ) -> Explorer:
     """Two synchronised shapes to explore: images of their vertices as observed, synchronised, drawn and calibrated.
 
-    Parameters
-    ----------
-    worlds
-        A synchronisation of the same shapes for each noise variance and temperature in words, such as
-        ``(0.1, "β = 1")``; those of one variance differ in their posterior alone.
-    pair, calibration, level
-        Two shapes; what turns uncertainty scores into regions; and the share that regions are to hold.
-    alt, common_order
-        A sentence or two that say what is shown; whether vertex x of one shape is known to belong to x of the other.
+    * ``worlds``: a synchronisation of the same shapes for each noise variance and temperature in words, such as ``(0.1,
+      "β = 1")``; those of one variance differ in their posterior alone.
+    * ``pair``, ``calibration``, ``level``: two shapes; what turns uncertainty scores into regions; and the share that
+      regions are to hold.
+    * ``alt``, ``common_order``: a sentence or two that say what is shown; whether vertex x of one shape is known to
+      belong to x of the other.
     """
     ways = (pair, pair[::-1])
     states = []

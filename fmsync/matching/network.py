@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -74,15 +75,6 @@ def posterior_draws(
     tree = problem.n_edges < problem.n_nodes
     each = -(-n_draws // 4)
     with tqdm(desc="posterior", total=each, disable=not progress) as bar:
-        return sample(
-            problem,
-            "heat-bath",
-            kappa=20.0 if tree else "auto",
-            init=estimate,
-            n_chains=4,
-            n_draws=each,
-            warmup=300,
-            thin=4,
-            callback=lambda *_: bar.update(),
-            rng=rng,
-        )
+        steps = {"n_chains": 4, "n_draws": each, "warmup": 300, "thin": 4}
+        told: dict[str, Any] = {"kappa": 20.0 if tree else "auto", "callback": lambda *_: bar.update(), **steps}
+        return sample(problem, "heat-bath", init=estimate, rng=rng, **told)

@@ -49,44 +49,31 @@ def sample(
     dispersed starts, which long runs of all samplers but ``"tempered"`` can afford, find a mode that the chains have
     not visited. Raises a RuntimeError with a step to try when a chain diverges.
 
-    Parameters
-    ----------
-    method
-        A name of :func:`fmsync.samplers.methods`.
-    n_chains, n_draws, warmup, thin, rng
-        Chains, draws kept of each, steps before the first draw, steps from one draw to the next, and a seed or
-        generator: same seed, same draws.
-    init
-        Where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``, every other
-        chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for all chains,
-        or (chains, N, n, n); an :class:`~fmsync.Estimate` on the group.
-    prior
-        Langevin prior on the absolute maps; it fixes the gauge.
-    kappa, beta
-        Concentration of the observations, one of the two: κ = 2β, and β = 1, as in the paper, where neither is given.
-        ``"heat-bath"``, ``"tempered"``, and ``"hmc"`` and ``"mala"`` with the Euclidean energy, infer κ instead, under
-        a uniform prior on [0, 1e5], when it is ``"auto"`` or neither is given.
-    likelihood
-        ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`, weights are
-        multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` and tempered heat baths:
-        :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
-        :math:`\log\sigma^2` uniform on [log 1e-5, log 10]. ``"mixture"``, for the same two: an observation is Langevin
-        with probability p, uniform a priori, and otherwise a uniformly random rotation; the posterior has the
-        probability of every edge in ``edge_weights``. The last two need observations in SO(n), so that for matrices
-        with noise in every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
-    energy
-        ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
-        ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
-    callback
-        Called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where the chains
-        are: not rotations in an unconstrained chain. Do not change it.
-    options
-        Passed to the sampler; an unknown option is refused with the list of known ones.
+    * ``method``: a name of :func:`fmsync.samplers.methods`.
+    * ``n_chains``, ``n_draws``, ``warmup``, ``thin``, ``rng``: chains, draws kept of each, steps before the first draw,
+      steps from one draw to the next, and a seed or generator: same seed, same draws.
+    * ``init``: where chains start: ``"spectral"``; ``"random"``, another Haar draw for each chain; ``"dispersed"``,
+      every other chain at the maximum of the likelihood and the rest at Haar draws; rotations (N, n, n), the same for
+      all chains, or (chains, N, n, n); an :class:`~fmsync.Estimate` on the group.
+    * ``prior``: Langevin prior on the absolute maps; it fixes the gauge.
+    * ``kappa``, ``beta``: concentration of the observations, one of the two: κ = 2β, and β = 1, as in the paper, where
+      neither is given. ``"heat-bath"``, ``"tempered"``, and ``"hmc"`` and ``"mala"`` with the Euclidean energy, infer κ
+      instead, under a uniform prior on [0, 1e5], when it is ``"auto"`` or neither is given.
+    * ``likelihood``: ``"langevin"``: :math:`p(C_{ij})\propto\exp(\kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j))`,
+      weights are multiplicities. ``"projected-gaussian"``, for ``"heat-bath"`` and tempered heat baths:
+      :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
+      :math:`\log\sigma^2` uniform on [log 1e-5, log 10]. ``"mixture"``, for the same two: an observation is Langevin
+      with probability p, uniform a priori, and otherwise a uniformly random rotation; the posterior has the probability
+      of every edge in ``edge_weights``. The last two need observations in SO(n), so that for matrices with noise in
+      every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
+    * ``energy``: ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
+      ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
+    * ``callback``: called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where
+      the chains are: not rotations in an unconstrained chain. Do not change it.
+    * ``options``: passed to the sampler; an unknown option is refused with the list of known ones.
 
     After Ctrl-C the posterior has fewer draws and ``interrupted`` set (without any draw it goes through).
 
-    Examples
-    --------
     >>> import numpy as np, fmsync
     >>> p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
     >>> post = fmsync.sample(p, "rlfm", n_chains=2, n_draws=50, warmup=20, rng=0)

@@ -51,8 +51,6 @@ STYLE = {
 def style() -> None:
     """Set the look of every later matplotlib figure: Okabe–Ito colours, white paper, 12 pt type.
 
-    Examples
-    --------
     >>> import fmsync
     >>> fmsync.viz.style()
     """
@@ -107,8 +105,6 @@ def picture(fig: Figure, alt: str) -> Picture:
 
     Type smaller than 10 points is raised to that: it could not be read on a phone.
 
-    Examples
-    --------
     >>> import matplotlib.pyplot as plt
     >>> fig, ax = plt.subplots()
     >>> picture(fig, alt="An empty pair of axes.")
@@ -144,19 +140,11 @@ def heatmaps(
 ) -> Picture:
     """Matrices side by side under one colour scale.
 
-    Parameters
-    ----------
-    matrices
-        K arrays of shape (n, m), e.g. functional maps.
-    titles, alt
-        K strings, and what the figure shows.
-    clim
-        Limits shared by all panels; by default symmetric about zero and wide enough for every entry.
-    columns
-        Panels in a row.
+    * ``matrices``: K arrays of shape (n, m), e.g. functional maps.
+    * ``titles``, ``alt``: K strings, and what the figure shows.
+    * ``clim``: limits shared by all panels; by default symmetric about zero and wide enough for every entry.
+    * ``columns``: panels in a row.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> heatmaps([np.eye(3), -np.eye(3)], ["plus", "minus"], alt="The identity and its negative.")
     <Picture: The identity and its negative.>

@@ -49,22 +49,10 @@ class Loop(Picture):
 def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
     """Join matplotlib figures of one size into a ``Loop``, and close them.
 
-    Parameters
-    ----------
-    figures
-        At least two figures, e.g. a generator that draws them one by one.
-    alt
-        What is shown and how it moves, in one or two sentences.
-    seconds, rest
-        Time of one frame, and of the last one, which is also the still.
+    At least two ``figures``, e.g. a generator that draws them one by one; ``alt`` says in one or two sentences what is
+    shown and how it moves; ``seconds`` and ``rest`` are the time of one frame, and of the last one, which is also the
+    still. A ValueError for figures of unequal size, or more than 300 kB.
 
-    Raises
-    ------
-    ValueError
-        Fewer than two figures, figures of unequal size, or more than 300 kB.
-
-    Examples
-    --------
     >>> def frames():
     ...     for k in range(3):
     ...         fig, ax = plt.subplots()
@@ -98,8 +86,6 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Loop:
 
     For a chain of rotations of space, give the places to which they turn one vector, e.g. ``rotations[:, :, 2]``.
 
-    Examples
-    --------
     >>> angles = np.linspace(0, 6, 50)
     >>> walk_on_sphere(np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "Along the equator.", frames=5)
     <Loop: Along the equator.>
