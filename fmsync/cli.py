@@ -3,6 +3,8 @@
 import argparse
 import os
 import sys
+import tomllib
+from pathlib import Path
 
 import fmsync
 from fmsync import info_cli, problem_cli, sync_cli
@@ -17,9 +19,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="fmsync", description=fmsync.__doc__.partition("\n")[0])
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    sync_cli.add_parser(commands)
-    problem_cli.add_parsers(commands)
-    info_cli.add_parser(commands)
+    texts = tomllib.loads(Path(__file__).with_name("help.toml").read_text(encoding="utf-8"))
+
+    def add(name: str) -> argparse.ArgumentParser:
+        return commands.add_parser(name, formatter_class=argparse.RawDescriptionHelpFormatter, **texts[name])
+
+    sync_cli.add_parsers(add)
+    problem_cli.add_parsers(add)
+    info_cli.add_parser(add)
     parsed = parser.parse_args(arguments)
     try:
         status: int = parsed.run(parsed)

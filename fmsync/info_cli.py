@@ -3,6 +3,7 @@
 import argparse
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,19 +15,9 @@ if TYPE_CHECKING:
 _STEPS, _DEFAULT_STEPS = 3, 2000  # of the heat bath: timed, and those of fmsync sample without options
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``info`` to a parser."""
-    parser = commands.add_parser(
-        "info",
-        help="what is in a mesh, a problem or a folder of them, and what would run on it",
-        description="Say what is in a mesh, a problem or a folder, whether it is well posed, and what would run on it.",
-        epilog="examples:\n  fmsync info scans/\n  fmsync info problem.npz --json\n\n"
-        "Of a problem, kappa is a guess from the residuals of the spectral estimate, kappa_threshold where recovery\n"
-        "is expected to fail, and rms_error_bound the Cramer-Rao bound of a relative map (Frobenius norm) at kappa;\n"
-        "it holds only where the error is small. sample_seconds is that of four chains of 2000 steps here.\n\n"
-        "exit status: 0 all is usable, 1 it failed, 2 wrong options or some file is not usable, 130 stopped by Ctrl-C.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_parser(add: Callable[[str], argparse.ArgumentParser]) -> None:
+    """Add ``info``."""
+    parser = add("info")
     parser.add_argument("path", type=Path, metavar="FILE_OR_FOLDER", help="a problem (npz), a mesh, or a folder")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
     parser.set_defaults(run=run, stopped="stopped")

@@ -5,42 +5,19 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_EXIT = (
-    "exit status: 0 done, 1 it failed, 2 wrong options or an unusable file, 130 stopped by Ctrl-C. The output appears "
-    "whole\nor not at all, in the place of a file that is there."
-)
 
-
-def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``solve`` and ``sample`` to a parser."""
-    solve = commands.add_parser(
-        "solve",
-        help="the best absolute maps of a problem, and whether they are",
-        description="Estimate the absolute maps of a problem, and test whether no other rotations fit better.",
-        epilog="examples:\n  fmsync solve problem.npz -o maps.npz\n"
-        "  fmsync solve problem.npz -o maps.npz --method robust --json\n\n"
-        "The output holds absolute (N, n, n), edges (E, 2) and relative (E, n, n), the maps made consistent, and of\n"
-        "--method robust edge_weights (E,), near 0 for maps that contradict the others.\n\n" + _EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
+    """Add ``solve`` and ``sample``."""
+    solve = add("solve")
     solve.add_argument("--method", default="mle", help="an estimator, fmsync.methods() (%(default)s)")
     solve.add_argument("--restarts", type=int, help="starts, the first the method's own and the others random")
     solve.set_defaults(run=run_solve)
-    sample = commands.add_parser(
-        "sample",
-        help="draws of the absolute maps from their posterior, and whether the chains agree",
-        description="Draw the absolute maps of a problem from their posterior.",
-        epilog="examples:\n  fmsync sample problem.npz -o draws.npz\n"
-        "  fmsync sample problem.npz -o draws.npz --likelihood projected-gaussian --draws 2000 --json\n\n"
-        "The output holds absolute (chains, draws, N, n, n), energy and kappa (chains, draws), edges (E, 2) and\n"
-        "relative_mean (E, n, n). Only relative maps mean something: the gauge of each draw is arbitrary.\n\n" + _EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    sample = add("sample")
     sample.add_argument("--method", default="heat-bath", help="a sampler, fmsync.samplers.methods() (%(default)s)")
     sample.add_argument("--chains", dest="n_chains", type=int, default=4, help="(%(default)s)")
     sample.add_argument("--draws", dest="n_draws", type=int, default=1000, help="of each chain (%(default)s)")

@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,29 +18,12 @@ if TYPE_CHECKING:
     from fmsync.shape import Shape
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
-_NAMING = """\
-A_to_B.SUFFIX, A and B names of meshes without their suffixes; A_to_B.1.SUFFIX, A_to_B.wks.SUFFIX and so on
-for several maps of a pair. What is in a file:
-  one number for each vertex of A   point map: the vertex of B, counted from zero, -1 for unmatched (npy csv txt mat)
-  sparse matrix (V_A, V_B)          soft map: rows sum to at most one (npz of scipy.sparse.save_npz, mat)
-  any other matrix (n_A, n_B)       functional map, from coefficients on B to those on A, in the bases of
-                                    fmsync.laplace_beltrami (npy csv txt mat)
-A mat file holds one of these as C or p2p. Any pairs that connect all meshes will do, in one direction or both."""
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``sync`` and ``transfer`` to a parser."""
-    parser = commands.add_parser(
-        "sync",
-        help="consistent correspondences of your own shapes, with a confidence on every vertex",
-        description=__doc__,
-        epilog="examples:\n  fmsync sync scans/ -o matched\n  fmsync sync a.off b.ply c.obj -o matched --jobs 2\n"
-        f"  fmsync sync scans/ --maps maps/ -o matched\n\nfiles of --maps: {_NAMING}\n\n"
-        "exit status: 0 done, 1 it failed, 2 wrong options or unusable files, 130 stopped by Ctrl-C.\n"
-        "A run that was stopped goes on where it was when the command is given again.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
+    """Add ``sync`` and ``transfer``."""
+    parser = add("sync")
     parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
     parser.add_argument("--maps", type=Path, metavar="FOLDER", help="maps of pairs to synchronise, from any matcher")
@@ -59,13 +42,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
     parser.set_defaults(run=run, stopped="stopped; what is finished is kept, give the same command again to go on")
-    parser = commands.add_parser(
-        "transfer",
-        help="carry labels, functions or landmarks of one shape to all others, with how sure that is",
-        description="A table RESULT/NAME.csv for every other shape: likely labels and their probability, means and "
-        "standard deviations of functions, or images of landmarks and the radii of 90%% regions, in roots of the area.",
-        epilog="example: fmsync transfer matched values.csv --on cat0 -o carried",
-    )
+    parser = add("transfer")
     parser.add_argument("synced", type=Path, metavar="OUT", help="folder that fmsync sync has written")
     columns = "csv with named columns and a row a vertex; decimal points make functions, anything else labels; or "
     columns += "landmarks, a column 'vertex' alone that counts from zero"

@@ -1,22 +1,4 @@
-"""Suites: small declarative files that say which methods meet which problems.
-
-.. code-block:: toml
-
-    description = "What the suite shows"
-    seeds = 10                      # problems of every kind, the same for every method
-    seconds = 60                    # limit of a run
-    memory = 2000                   # limit of a run, MB above what the process holds before it
-    methods_of = "paper"            # the names of methods that another suite has made, beside those made here
-
-    [method.mc]                     # a name of your own for a method with options; bare names need no table
-    use = "rlfm"
-    n_chains = 1
-
-    [[grid]]                        # every problem times every seed times every method; lists are swept
-    generator = "bench.problems:rotations"
-    problem = { n_nodes = [4, 11], n = 20, sigma2 = [0.1, 0.2] }
-    methods = ["spectral", "mle", "mc"]
-"""
+"""Suites: small declarative files that say which methods meet which problems; ``smoke.toml`` explains every key."""
 
 import importlib
 import inspect
