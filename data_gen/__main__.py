@@ -13,12 +13,9 @@ from fmsync.extras import MissingExtra
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; the exit code is 1 when a collection is refused or does not verify."""
     parser = argparse.ArgumentParser(prog="python -m data_gen", description="Look at a collection of shapes.")
-    parser.add_argument(
-        "command",
-        choices=("report", "verify"),
-        help="report isometry, spectra, cycle errors and determinants at n = 20 as JSON, or verify counts and "
-        "fingerprints against the table that comes with the project",
-    )
+    told = "report isometry, spectra, cycle errors and determinants at n = 20 as JSON, or verify counts and "
+    told += "fingerprints against the table that comes with the project"
+    parser.add_argument("command", choices=("report", "verify"), help=told)
     parser.add_argument("collection", help="'cats', a folder, or a folder inside FMSYNC_DATA")
     options = parser.parse_args(arguments)
     try:

@@ -5,12 +5,9 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import fmsync
 from fmsync.problem_cli import as_json, print_summary
-
-if TYPE_CHECKING:
-    from fmsync.problem import SyncProblem
 
 _STEPS, _DEFAULT_STEPS = 3, 2000  # of the heat bath: timed, and those of fmsync sample without options
 
@@ -54,12 +51,10 @@ def _of_problem(file: Path) -> dict[str, object]:
     import numpy as np
 
     from fmsync import bounds, langevin
-    from fmsync.estimators.solve import solve
-    from fmsync.problem import load_problem
 
     told: dict[str, object] = {"file": str(file), "kind": "problem"}
     try:
-        problem = load_problem(file)
+        problem = fmsync.load_problem(file)
     except ValueError as error:
         return told | {"refused": str(error)}
     n, n_nodes, n_edges = problem.n, problem.n_nodes, problem.n_edges
@@ -72,7 +67,7 @@ def _of_problem(file: Path) -> dict[str, object]:
         return told | {"kappa": None, "noise": "no cycle: nothing tells how noisy the maps are; give sample --kappa"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        relative = solve(problem, "spectral").relative()
+        relative = fmsync.solve(problem, "spectral").relative()
     agreement = float(np.einsum("eab,eab->e", relative, problem.maps).mean()) / n
     cosine = 1 - (1 - agreement) * n_edges / cycles  # the fit takes its part of the noise
     kappa = langevin.matched_kappa(n, min(cosine, float(langevin.mean_cosine(n, 1e5))))
@@ -85,7 +80,7 @@ def _of_problem(file: Path) -> dict[str, object]:
     return told | {"sample_seconds": _seconds(problem)}
 
 
-def _seconds(problem: "SyncProblem") -> float:
+def _seconds(problem: "fmsync.SyncProblem") -> float:
     """What ``fmsync sample`` would take, from a few of its steps."""
     import numpy as np
 
@@ -107,7 +102,6 @@ def _of_mesh(file: Path) -> dict[str, object]:
     import numpy as np
 
     from fmsync.mesh_io import read_shape
-    from fmsync.shape import edges_of_faces, laplace_beltrami
 
     told: dict[str, object] = {"file": str(file), "kind": "mesh"}
     with warnings.catch_warnings(record=True) as caught:
@@ -120,8 +114,8 @@ def _of_mesh(file: Path) -> dict[str, object]:
     if shape.faces is None:
         told["kind"] = "point cloud"
     else:
-        _, faces_at = np.unique(edges_of_faces(shape.faces), axis=0, return_counts=True)
+        _, faces_at = np.unique(fmsync.shape.edges_of_faces(shape.faces), axis=0, return_counts=True)
         told |= {"faces": len(shape.faces), "pieces": 1, "closed": bool((faces_at > 1).all())}
         told |= {"boundary_edges": int((faces_at == 1).sum()), "edges_of_many_faces": int((faces_at > 2).sum())}
-    basis = laplace_beltrami(shape.vertices, shape.faces, min(21, shape.n_vertices - 1))
+    basis = fmsync.laplace_beltrami(shape.vertices, shape.faces, min(21, shape.n_vertices - 1))
     return told | {"surface_of_revolution": basis.has_continuous_symmetry}

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import fmsync
+
 
 def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
     """Add ``solve`` and ``sample``."""
@@ -36,15 +38,11 @@ def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
 
 def run_solve(options: argparse.Namespace) -> int:
     """Solve, certify and write."""
-    from fmsync.estimators.certificate import certify
-    from fmsync.estimators.solve import solve
-    from fmsync.problem import load_problem
-
     _check(options)
-    problem, began = load_problem(options.problem), time.perf_counter()
+    problem, began = fmsync.load_problem(options.problem), time.perf_counter()
     with said_in_plain_words() as said:
-        estimate = solve(problem, options.method, rng=options.seed, restarts=options.restarts)
-    certificate = certify(problem, estimate) if estimate.on_group else None
+        estimate = fmsync.solve(problem, options.method, rng=options.seed, restarts=options.restarts)
+    certificate = fmsync.certify(problem, estimate) if estimate.on_group else None
     arrays = {"absolute": estimate.absolute, "edges": problem.edges, "relative": estimate.relative()}
     if estimate.edge_weights is not None:
         arrays["edge_weights"] = estimate.edge_weights
@@ -62,16 +60,12 @@ def run_solve(options: argparse.Namespace) -> int:
 
 def run_sample(options: argparse.Namespace) -> int:
     """Sample, diagnose and write."""
-    from fmsync.diagnostics import ess, rhat
-    from fmsync.problem import load_problem
-    from fmsync.samplers.sample import sample
-
     _check(options)
-    problem, began = load_problem(options.problem), time.perf_counter()
+    problem, began = fmsync.load_problem(options.problem), time.perf_counter()
     with said_in_plain_words() as said:
         names = ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
         chosen = {name: getattr(options, name) for name in names}
-        post = sample(problem, options.method, rng=options.seed, **chosen)
+        post = fmsync.sample(problem, options.method, rng=options.seed, **chosen)
     if post.interrupted:
         raise KeyboardInterrupt
     arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
@@ -82,8 +76,8 @@ def run_sample(options: argparse.Namespace) -> int:
         "chains": post.n_chains,
         "draws": post.n_draws,
         "energy": float(post.energy.mean()),
-        "r_hat": rhat(post.energy),
-        "ess": ess(post.energy),
+        "r_hat": fmsync.diagnostics.rhat(post.energy),
+        "ess": fmsync.diagnostics.ess(post.energy),
         "kappa": float(post.kappa.mean()),
         "kappa_sd": float(post.kappa.std()),
     }

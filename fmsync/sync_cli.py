@@ -11,11 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from fmsync.matching import SyncedShapes
-    from fmsync.shape import Shape
+import fmsync
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
@@ -75,8 +72,7 @@ def _publish(work: Path, output: Path) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.matching import ConformalCalibration, synchronize_shapes
-    from fmsync.matching.conformal import default_calibration
+    from fmsync.matching.conformal import ConformalCalibration, default_calibration
     from fmsync.matching.map_files import read_maps
     from fmsync.matching.output import write_all
     from fmsync.matching.quality import quality_flags
@@ -100,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
             counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
             given = {"maps": maps, "landmarks": landmarks, "graph": options.graph}
-            synced = synchronize_shapes(shapes, **given, **counts, **stage)
+            synced = fmsync.matching.synchronize_shapes(shapes, **given, **counts, **stage)
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
@@ -171,7 +167,9 @@ def _working_folder(output: Path) -> Iterator[Path]:
                 output.rmdir()
 
 
-def _summary(synced: "SyncedShapes", output: Path, files: Sequence[Path], said: Sequence[str]) -> dict[str, object]:
+def _summary(
+    synced: "fmsync.matching.SyncedShapes", output: Path, files: Sequence[Path], said: Sequence[str]
+) -> dict[str, object]:
     """What a script wants to know of a result."""
     from fmsync.matching.output import edge_table
 
@@ -189,7 +187,7 @@ def _summary(synced: "SyncedShapes", output: Path, files: Sequence[Path], said: 
     }
 
 
-def _landmarks(path: Path, shapes: "Sequence[Shape]") -> list[list[int]]:
+def _landmarks(path: Path, shapes: "Sequence[fmsync.Shape]") -> list[list[int]]:
     """Vertices of every shape, from lines 'NAME: 1 2 3' in any order or lines of numbers in the order of the shapes."""
     lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     if len(lines) != len(shapes):

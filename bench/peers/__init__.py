@@ -1,5 +1,3 @@
 """The project's estimator and sampler as others write them; importing this package registers both by name."""
 
-from bench.peers import geomstats_rlfm, pymanopt_mle
-
-__all__ = ["geomstats_rlfm", "pymanopt_mle"]
+from bench.peers import geomstats_rlfm, pymanopt_mle  # noqa: F401

@@ -74,9 +74,8 @@ class Posterior:
         r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
 
         The centre is the arithmetic mean of the draws. A draw's distance is taken to the mean of the *others*,
-        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`: its own part in the centre would make balls too small. The
-        radius is the (k+1)-th smallest of these T distances, k the largest integer with k/T <= ``level``, so that the
-        ball covers a truth exactly when :func:`fmsync.calibration.ball_level` is at most ``level``.
+        :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`. The radius is the (k+1)-th smallest of these T distances, k the
+        largest integer with k/T <= ``level``: :func:`fmsync.calibration.ball_level` of what it covers is at most that.
         """
         edges = self._edges(edges)
         centres = self.relative_mean(edges, projected=False)

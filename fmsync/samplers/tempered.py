@@ -17,15 +17,13 @@ class Tempered(Sampler):
     r"""Parallel tempering around any of the exact samplers, for every likelihood, with κ or σ² inferred or given.
 
     Each chain is a ladder of replicas at inverse temperatures :math:`0 < b_1 < \dots < b_R = 1`, the powers to which
-    the likelihood L of each is raised, its normaliser included. After every step of all replicas neighbours exchange
-    places with probability :math:`\min\{1, (L_s/L_r)^{b_r-b_s}\}`, even and odd pairs in turn, far quicker than random
-    pairs. In the warm-up the ladder is spaced for equal rejection along it (Syed, Bouchard-Côté, Deligiannidis & Doucet
-    2022). The coldest replica is the draw. Under projected noise L is the coupling of maps and observations alone, so
-    that the latent polar factors have a proper distribution at every temperature.
+    the likelihood L of each is raised. After every step of all replicas neighbours exchange places with probability
+    :math:`\min\{1, (L_s/L_r)^{b_r-b_s}\}`, even and odd pairs in turn. In the warm-up the ladder is spaced for equal
+    rejection along it (Syed, Bouchard-Côté, Deligiannidis & Doucet 2022). The coldest replica is the draw. Under
+    projected noise L is the coupling of maps and observations alone, which keeps the polar factors proper.
 
     The ``base`` is ``"heat-bath"``, ``"hmc"`` or ``"mala"``. Take more replicas R, ``n_temperatures`` >= 2, when
-    ``settings["swap_acceptance"]`` falls below 0.2. ``hottest`` is the inverse temperature of the hottest replica, in
-    (0, 1); by default 1e-3, nearly uniform maps.
+    ``settings["swap_acceptance"]`` falls below 0.2. ``hottest``, in (0, 1), is the inverse temperature of the hottest.
     """
 
     @checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
