@@ -9,15 +9,12 @@ from data_gen.fingerprints import same_triangulation
 from data_gen.truth import fix_signs, measure_maps
 from fmsync import laplace_beltrami, so
 from fmsync.problem import cycle_error
-from fmsync.shape import Basis, Shape, edges_of_faces
+from fmsync.shape import Shape, edges_of_faces
 
 
-def collection_report(
-    shapes: Sequence[Shape], n_basis: int = 20, bases: Sequence[Basis] | None = None
-) -> dict[str, object]:
+def collection_report(shapes: Sequence[Shape], n_basis: int = 20) -> dict[str, object]:
     """Measure N >= 3 shapes that share their triangulation; plain JSON values, nothing of the meshes.
 
-    ``bases`` may hold bases computed before, of at least n = ``n_basis`` functions, signs as the solver gave them.
     Returns ``edge_distortion`` (N (N-1)/2,), ``eigenvalues`` (N, n); ``cycle_error``, the mean over 3-cycles of the
     maps of all ordered pairs ``raw``, projected to SO(n) edge by edge (``projected``), and projected after one flip a
     shape (``signs fixed``); ``negative``, the share of negative determinants ``before`` and ``after``; ``determinants``
@@ -28,9 +25,7 @@ def collection_report(
     >>> report["cycle_error"]["signs fixed"] < report["cycle_error"]["raw"] + 1
     True
     """
-    if bases is None:
-        bases = [laplace_beltrami(shape.vertices, shape.faces, n_basis) for shape in shapes]
-    bases = [basis.truncated(n_basis) for basis in bases]
+    bases = [laplace_beltrami(shape.vertices, shape.faces, n_basis) for shape in shapes]
     n_nodes = len(shapes)
     pairs = np.array([(i, j) for i in range(n_nodes) for j in range(n_nodes) if i != j])
     raw = measure_maps(bases, pairs)

@@ -16,12 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.planted import Planted
 from fmsync import estimators, samplers
 from fmsync.estimators.base import ESTIMATORS
-from fmsync.problem import relative_maps
+from fmsync.problem import SyncProblem, relative_maps
 from fmsync.registry import near_names
 from fmsync.samplers.base import SAMPLERS
 
+Rng = np.random.Generator
 Relative = Callable[[np.ndarray], np.ndarray]  # pairs (K, 2) -> maps (K, n, n)
 
 _NOT_OPTIONS = {"problem", "target", "rng", "callback", "start", "self", "method", "options", "kwargs"}
@@ -72,7 +74,7 @@ class Method:
             return None
         return set(own) - _NOT_OPTIONS | ({"restarts"} if self.kind == "estimator" and "init" in own else set())
 
-    def run(self, planted, rng: np.random.Generator, options: Mapping[str, object]) -> Answer:
+    def run(self, planted: Planted, rng: Rng, options: Mapping[str, object]) -> Answer:
         """Answer a :class:`~bench.planted.Planted` problem."""
         if self.kind == "estimator":
             return Answer(estimators.solve(planted.problem, self.name, rng=rng, **options).relative)
@@ -81,7 +83,7 @@ class Method:
         return self.function(planted if self.sees_planted else planted.problem, rng=rng, **options)
 
 
-def sampled(problem, method: str, *, rng: np.random.Generator, **options) -> Answer:
+def sampled(problem: SyncProblem, method: str, *, rng: Rng, **options) -> Answer:
     """Draws of a sampler; its point answer is the chordal mean of the relative maps, free of any gauge."""
     began = time.perf_counter()
     post = samplers.sample(problem, method, rng=rng, **options)

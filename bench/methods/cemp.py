@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, method
 from fmsync import SyncProblem, solve
 from fmsync.so import transpose
 
 
 @method("cemp")
-def cemp(problem, *, rng, rounds: int = 6) -> Answer:
+def cemp(problem: SyncProblem, *, rng: Rng, rounds: int = 6) -> Answer:
     r"""Least squares weighted by :math:`e^{-\beta s}`, s in [0, 1] the corruption of an edge.
 
     In ``rounds`` rounds β doubles. Edges in no 3-cycle keep their weight.

@@ -3,12 +3,12 @@
 import numpy as np
 
 from bench import metrics
-from bench.methods import Answer, method
+from bench.methods import Answer, Planted, Rng, method
 from fmsync.estimators import solve
 
 
 @method("confidence-balls", sees_planted=True)
-def confidence_balls(planted, *, rng, of: str = "mle") -> Answer:
+def confidence_balls(planted: Planted, *, rng: Rng, of: str = "mle") -> Answer:
     """The estimate ``of`` a method; the truth is looked at by the metrics alone, when the clock has stopped."""
     estimate = solve(planted.problem, of, rng=rng)
     edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)

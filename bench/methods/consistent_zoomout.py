@@ -4,14 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Planted, Rng, method
 from bench.methods.pyfm_network import has_cycles, latent_bases, shape_network
 
 _VERTICES = 1000  # of each shape by which maps are refined
 
 
 @method("consistent-zoomout", sees_planted=True)
-def consistent_zoomout(planted, *, rng, start: int | None = None) -> Answer:
+def consistent_zoomout(planted: Planted, *, rng: Rng, start: int | None = None) -> Answer:
     """From the leading ``start`` (default n/2) rows and columns of the observed maps back up to n, one at a time.
 
     It sees the bases of the shapes, which the other methods do not, and never the truth; at most 1000 vertices of each,

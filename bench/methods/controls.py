@@ -2,25 +2,25 @@
 
 import numpy as np
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Planted, Rng, SyncProblem, method
 from fmsync import so
 from fmsync.adapters import to_pyfm_maps
 
 
 @method("identity")
-def identity(problem, *, rng) -> Answer:
+def identity(problem: SyncProblem, *, rng: Rng) -> Answer:
     """Identity maps: what one says without looking; near-diagonal functional maps flatter it."""
     return Answer.from_absolute(np.broadcast_to(np.eye(problem.n), (problem.n_nodes, problem.n, problem.n)))
 
 
 @method("random")
-def random(problem, *, rng) -> Answer:
+def random(problem: SyncProblem, *, rng: Rng) -> Answer:
     r"""Haar-random rotations, which know nothing: about :math:`\sqrt{2n}` from any truth."""
     return Answer.from_absolute(so.random_uniform(problem.n, problem.n_nodes, rng))
 
 
 @method("observed")
-def observed(problem, *, rng) -> Answer:
+def observed(problem: SyncProblem, *, rng: Rng) -> Answer:
     """The observed map of every edge, the projected mean where a pair is observed more than once; no other pair."""
     maps = {(i, j): so.project(c) for (j, i), c in to_pyfm_maps(problem).items()}
     nothing = np.full((problem.n, problem.n), np.nan)
@@ -28,6 +28,6 @@ def observed(problem, *, rng) -> Answer:
 
 
 @method("oracle", sees_planted=True)
-def oracle(planted, *, rng) -> Answer:
+def oracle(planted: Planted, *, rng: Rng) -> Answer:
     """The true maps: any error they show is an error of the metric."""
     return Answer(planted.relative)

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, SyncProblem, method
 from fmsync import estimators
 from fmsync.problem import relative_maps
 
@@ -12,7 +12,7 @@ _MOST_STEPS = 60
 
 
 @method("convergence")
-def convergence(problem, *, rng, of: str = "mle", on_group: bool = True, **options) -> Answer:
+def convergence(problem: SyncProblem, *, rng: Rng, of: str = "mle", on_group: bool = True, **options) -> Answer:
     """``of`` with the maps it passed through; ``on_group`` False reads relative maps as inverses, not transposes."""
     states = []
 

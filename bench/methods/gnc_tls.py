@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, method
 from fmsync import SyncProblem, solve
 from fmsync.problem import relative_maps
 
 
-def _squares(problem, absolute: np.ndarray) -> np.ndarray:
+def _squares(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
     return ((relative_maps(absolute, problem.edges) - problem.maps) ** 2).sum((1, 2))
 
 
 @method("gnc-tls")
-def gnc_tls(problem, *, rng, growth: float = 1.4, tolerance: float = 1e-5) -> Answer:
+def gnc_tls(problem: SyncProblem, *, rng: Rng, growth: float = 1.4, tolerance: float = 1e-5) -> Answer:
     """Weighted least squares from the plain answer; the weights sharpen by ``growth`` a round until they are 0 or 1.
 
     Residuals are cut at 1.5 times the 30 % quantile of those of the l1 answer: the method wants a bound of the noise,

@@ -1,23 +1,25 @@
 """What the paper makes of estimates before it scores them."""
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, SyncProblem, method
 from fmsync import estimators, oracle, so
 
 
 @method("rounded")
-def rounded(problem, *, rng, of: str = "mle-unconstrained") -> Answer:
+def rounded(problem: SyncProblem, *, rng: Rng, of: str = "mle-unconstrained") -> Answer:
     """The nearest rotation to every absolute map of ``of``; relative maps are then transposes, not inverses."""
     return Answer.from_absolute(so.project(estimators.solve(problem, of, rng=rng).absolute))
 
 
 @method("mean-of-starts")
-def mean_of_starts(problem, *, rng, of: str = "mle", n_starts: int = 10, distance: str = "chordal") -> Answer:
+def mean_of_starts(
+    problem: SyncProblem, *, rng: Rng, of: str = "mle", n_starts: int = 10, distance: str = "chordal"
+) -> Answer:
     """Answers of ``of`` from random starts, gauges aligned, averaged on the group: the protocol of the MLE rows."""
     return Answer(estimators.mean_of_starts(problem, n_starts, of, rng=rng, distance=distance)[0].relative)
 
 
 @method("haar-baseline")
-def haar_baseline(problem, *, rng, n_draws: int = 1000) -> Answer:
+def haar_baseline(problem: SyncProblem, *, rng: Rng, n_draws: int = 1000) -> Answer:
     """The baseline of oracle accuracy: one estimate of maximum likelihood, then draws that know nothing."""
     estimate = estimators.solve(problem, "mle", rng=rng)
     return Answer(estimate.relative, oracle.haar_baseline(estimate.absolute, n_draws, rng))

@@ -7,7 +7,7 @@ pyFM's map (i, j) takes functions on i to functions on j, so our C_ij is its map
 import numpy as np
 import scipy.sparse
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, SyncProblem, method
 from fmsync import so
 from fmsync.adapters import to_pyfm_maps
 from fmsync.extras import require
@@ -16,7 +16,7 @@ _EIGENVALUE_SHIFT = 1e-6
 
 
 @method("pyfm-network")
-def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjacency") -> Answer:
+def pyfm_network(problem: SyncProblem, *, rng: Rng, projected: bool = False, weights: str = "adjacency") -> Answer:
     """The network's maps, raw or projected to SO(n); of repeated observations the mean, since it holds one map a pair.
 
     ``weights`` are ``"adjacency"``; ``"icsm"``, pyFM's weights from 3-cycles, which it multiplies in the wrong order,
@@ -37,14 +37,14 @@ def pyfm_network(problem, *, rng, projected: bool = False, weights: str = "adjac
     return Answer(lambda pairs: bases[pairs[:, 0]] @ np.linalg.inv(bases[pairs[:, 1]]))
 
 
-def cycle_error_of(problem, *, fixed: bool) -> float:
+def cycle_error_of(problem: SyncProblem, *, fixed: bool) -> float:
     """Largest 3-cycle error that pyFM sees in the observed maps, in its own order of composition or the right one."""
     network = shape_network(problem, fixed)
     network.extract_3_cycles()
     return max(network.get_cycle_weight(cycle, M=problem.n) for cycle in network.cycles)
 
 
-def shape_network(problem, fixed: bool):
+def shape_network(problem: SyncProblem, fixed: bool):
     """The problem as pyFM sees it."""
     network_class = require("pyFM.FMN", "bench").FMN
 

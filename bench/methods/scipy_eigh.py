@@ -3,12 +3,12 @@
 import numpy as np
 import scipy.linalg
 
-from bench.methods import Answer, method
+from bench.methods import Answer, Rng, SyncProblem, method
 from fmsync import so
 
 
 @method("scipy-eigh")
-def scipy_eigh(problem, *, rng) -> Answer:
+def scipy_eigh(problem: SyncProblem, *, rng: Rng) -> Answer:
     """Leading n eigenvectors of the dense connection matrix, each (n, n) block projected to SO(n)."""
     size, n = problem.n_nodes * problem.n, problem.n
     _, vectors = scipy.linalg.eigh(problem.connection, subset_by_index=[size - n, size - 1])
