@@ -2,19 +2,14 @@
 
 The order serves for evaluation, never for maps. Each part is a command, and adds to one file of results:
 
-``python -m bench.own_shapes collections tosca_cat cats``
-    errors and CPU seconds of the stages, for the first collection beside pyFM; coverage of regions as they come, and
-    calibrated on the other collection; errors of the vertices that are retained
-``... remeshed tosca_cat`` and ``... landmarks tosca_cat``
-    errors on copies with triangulations and vertex counts of their own, without and with four landmarks
-``... planted cats``
-    coverage where the model is right
-``... given tosca_cat``
-    what synchronisation makes of pyFM's maps, right and spoiled, on these and on random species
-``python -m bench.own_shapes species``
-    coverage over random species, of which nothing else is read
-``... refit --out fmsync/matching/conformal.json``
-    the calibration that the package ships, fitted on the species of the part before
+* ``python -m bench.own_shapes collections tosca_cat cats``: errors and CPU seconds of the stages, for the first
+  collection beside pyFM; coverage of regions as they come, and calibrated on the other collection; errors of the
+  vertices that are retained.
+* ``... remeshed tosca_cat``, ``... landmarks tosca_cat``: errors on copies with triangulations of their own, without
+  and with four landmarks; ``... planted cats``: coverage where the model is right; ``... given tosca_cat``: what
+  synchronisation makes of pyFM's maps, right and spoiled, on these and on random species.
+* ``python -m bench.own_shapes species``: coverage over random species, of which nothing else is read; ``... refit --out
+  fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species.
 
 A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """

@@ -10,9 +10,9 @@ import fmsync
 from bench.own_shapes.confidence import planted_noise
 from fmsync.matching import fit_conformal, pairwise, synchronize
 from fmsync.matching.confidence import Confidence, local_distortion, two_modes
+from fmsync.matching.network import rotation_signs
 from fmsync.matching.quality import quality_flags
 from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators
-from fmsync.matching.signs import rotation_signs
 from fmsync.shape import Shape
 from tests.matching.conftest import OPTIONS
 from tests.matching.planted_flips import planted_flips
