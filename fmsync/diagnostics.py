@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -17,27 +17,17 @@ _MAX_PAIRS = 10
 _LARGEST_RHAT, _LEAST_ESS = 1.01, 400
 
 
-@runtime_checkable
-class Draws(Protocol):
-    """What is looked at of a posterior (:class:`fmsync.Posterior`)."""
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """What is looked at of a :class:`fmsync.Posterior`, which says what these are."""
 
-    @property
-    def problem(self) -> SyncProblem: ...
-
-    @property
-    def method(self) -> str: ...
-
-    @property
-    def energy(self) -> np.ndarray: ...
-
-    @property
-    def kappa(self) -> np.ndarray: ...
-
-    @property
-    def settings(self) -> Mapping[str, object]: ...
-
-    @property
-    def absolute(self) -> np.ndarray: ...
+    problem: SyncProblem
+    method: str
+    absolute: np.ndarray
+    energy: np.ndarray
+    kappa: np.ndarray
+    interrupted: bool
+    settings: Mapping[str, object]
 
 
 class ConvergenceWarning(UserWarning):

@@ -1,6 +1,5 @@
 """What :func:`fmsync.sample` returns: draws, and the answers read off them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,13 +7,12 @@ import numpy as np
 
 from fmsync import adapters, checks, so
 from fmsync.checks import checked
-from fmsync.diagnostics import Summary, summary
-from fmsync.problem import SyncProblem
+from fmsync.diagnostics import Draws, Summary, summary
 from fmsync.problem import relative_maps_unchecked as relative_maps
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(Draws):
     r"""Draws of the absolute maps; only what does not change under :math:`C_i \to Q C_i` means anything.
 
     ``absolute`` (chains, draws, N, n, n) are rotations in whatever gauge the chains were. Of every draw (chains, draws)
@@ -24,13 +22,6 @@ class Posterior:
     posterior inlier probabilities of the observations under the mixture likelihood, None for the others.
     """
 
-    problem: SyncProblem
-    method: str
-    absolute: np.ndarray
-    energy: np.ndarray
-    kappa: np.ndarray
-    interrupted: bool
-    settings: Mapping[str, object]
     edge_weights: np.ndarray | None = None
 
     @property
