@@ -14,9 +14,10 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar, Union, cast, get_args, get_origin
 
-import networkx as nx
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Rule = str | Callable[[str, Any], Any]
@@ -327,10 +328,10 @@ def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     bad = np.flatnonzero(array[:, 0] == array[:, 1])
     if bad.size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is a self-loop; remove it")
-    graph = nx.empty_graph(n_nodes)
-    graph.add_edges_from(array.tolist())
-    if not nx.is_connected(graph):
-        parts = [sorted(part) for part in nx.connected_components(graph)]
+    graph = sp.coo_array((np.ones(len(array)), array.T), shape=(n_nodes, n_nodes))
+    n_parts, part_of = connected_components(graph, directed=False)
+    if n_parts > 1:
+        parts = [np.flatnonzero(part_of == k).tolist() for k in range(n_parts)]
         shown = [str(part[:8])[1:-1] + " ..." * (len(part) > 8) for part in parts[:6]]
         told = "; ".join(shown) + " ..." * (len(parts) > 6)
         todo = "add edges between them or solve each on its own"

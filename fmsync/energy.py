@@ -4,10 +4,10 @@ Gradients live in the body frame: the tangent vector at C_j is :math:`C_j\,g_j` 
 accept leading batch axes, e.g. chains.
 """
 
-import numba
 import numpy as np
 
 from fmsync import so
+from fmsync.block_products import add_products
 from fmsync.checks import checked, unchecked
 from fmsync.problem import SyncProblem
 from fmsync.problem import relative_maps_unchecked as relative_maps
@@ -22,7 +22,7 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 
     .. math:: S_j = \sum_{(i,j)\in E} w\,C_i C_{ij} + \sum_{(j,k)\in E} w\,C_k C_{jk}^\top
 
-    One dense product for well-filled graphs, one product per node for sparse ones. Blocks C_j may also be
+    One dense product for well-filled graphs, products along the edges for sparse ones. Blocks C_j may also be
     (m, n): then the sums are the product of the connection matrix with m vectors.
     """
     if problem.is_dense:
@@ -31,82 +31,45 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
         stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
         sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
         return np.ascontiguousarray(sums).reshape(c.shape)
-    return np.ascontiguousarray(transpose(sparse_sums_unchecked(problem, transpose(c))))
+    return np.ascontiguousarray(transpose(transposed_sums_unchecked(problem, transpose(c))))
 
 
 @checked(blocks="... N n m", maps="E n n")
-def sparse_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
-    r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`, along the edges.
+def transposed_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
+    r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`.
 
-    In the precision of ``blocks``, for which ``maps`` are the observations (by default the problem's, in double).
+    In the precision of ``blocks``; along the edges it is that of ``maps``, the observations, by default the problem's.
     """
-    n_nodes, n, rows = blocks.shape[-3:]
-    flat = np.ascontiguousarray(blocks).reshape(-1, n_nodes, n, rows)
-    sums = np.zeros_like(flat)
-    maps = problem.maps if maps is None else maps
-    _sparse_sums(flat, maps, problem.weights.astype(maps.dtype), *problem.incidence, sums)
+    if problem.is_dense:
+        return np.ascontiguousarray(transpose(neighbour_sums_unchecked(problem, transpose(blocks))))
+    flat, maps = blocks.reshape(-1, *blocks.shape[-2:]), problem.maps if maps is None else maps
+    sums, chains = np.zeros(flat.shape, flat.dtype), np.arange(len(flat) // problem.n_nodes)
+    # a map is read once for both of its ends and all chains
+    order = problem.edge_order
+    ends = (problem.edges[order, None] + problem.n_nodes * chains[:, None]).reshape(-1, 2)
+    number, weights = (np.repeat(a, 2 * len(chains)) for a in (order, problem.weights[order]))
+    incoming = np.tile([False, True], len(ends))
+    add_products(sums, ends.ravel(), maps, number, incoming, flat, ends[:, ::-1].ravel(), weights)
     return sums.reshape(blocks.shape)
-
-
-@numba.njit(cache=True)
-def _sparse_sums(
-    blocks: np.ndarray,
-    maps: np.ndarray,
-    weights: np.ndarray,
-    start: np.ndarray,
-    edge: np.ndarray,
-    other: np.ndarray,
-    forward: np.ndarray,
-    sums: np.ndarray,
-) -> None:
-    """One product per node, direction and 32 of its edges, whose maps and blocks are gathered in long strides.
-
-    Maps of edges that come in stand on top of each other and count transposed, those of edges that go out side by side.
-    """
-    n, rows = blocks.shape[2:]
-    maps_gathered, blocks_gathered = np.empty(32 * n * n, blocks.dtype), np.empty((32 * n, rows), blocks.dtype)
-    for node in range(blocks.shape[1]):
-        first = start[node]
-        while first < start[node + 1]:
-            incoming = forward[first]
-            last = first + 1
-            while last < min(start[node + 1], first + 32) and forward[last] == incoming:
-                last += 1
-            height = (last - first) * n
-            wide = maps_gathered[: n * height].reshape(n, height)
-            tall = maps_gathered[: n * height].reshape(height, n)
-            for t in range(last - first):
-                observation = maps[edge[first + t]]
-                if incoming:
-                    for a in range(n):
-                        for b in range(n):
-                            tall[t * n + a, b] = observation[a, b]
-                else:
-                    for a in range(n):
-                        for b in range(n):
-                            wide[a, t * n + b] = observation[a, b]
-            for k in range(blocks.shape[0]):
-                for t in range(last - first):
-                    weight, neighbour = weights[edge[first + t]], blocks[k, other[first + t]]
-                    for a in range(n):
-                        for b in range(rows):
-                            blocks_gathered[t * n + a, b] = weight * neighbour[a, b]
-                if incoming:
-                    sums[k, node] += np.dot(tall.T, blocks_gathered[:height])
-                else:
-                    sums[k, node] += np.dot(wide, blocks_gathered[:height])
-            first = last
 
 
 @checked(c="... N n n")
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
-    total = np.zeros(c.shape[:-3])
+    return squared_residuals(problem, c) @ problem.weights
+
+
+def squared_residuals(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    r"""(..., E) the terms :math:`\lVert C_i^\top C_j - C_{ij}\rVert_F^2` of :func:`energy`, in double precision."""
+    flat, chains = c.astype(float, copy=False).reshape(-1, *c.shape[-2:]), np.arange(c[..., 0, 0, 0].size)
+    squares = np.empty((len(chains), problem.n_edges))
     for first in range(0, problem.n_edges, _EDGES_AT_ONCE):
         part = slice(first, first + _EDGES_AT_ONCE)
-        residual = relative_maps(c, problem.edges[part]) - problem.maps[part]
-        total += (problem.weights[part] * np.einsum("...ab,...ab->...", residual, residual)).sum(-1)
-    return total[()]
+        i, j = (problem.edges[part] + problem.n_nodes * chains[:, None, None]).reshape(-1, 2).T
+        residual = np.tile(-problem.maps[part], (len(chains), 1, 1))
+        add_products(residual, np.arange(len(i)), flat, i, np.ones(len(i), bool), flat, j)
+        squares[:, part] = np.einsum("eab,eab->e", residual, residual).reshape(len(chains), -1)
+    return squares.reshape(*c.shape[:-3], problem.n_edges)
 
 
 @checked(c="... N n n", sums="... N n n")
@@ -173,7 +136,7 @@ def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 
 
 # without the tests of arguments: for loops inside the library
-neighbour_sums_unchecked, sparse_sums_unchecked = unchecked(neighbour_sums), unchecked(sparse_sums)
+neighbour_sums_unchecked, transposed_sums_unchecked = unchecked(neighbour_sums), unchecked(transposed_sums)
 energy_unchecked, gradient_unchecked = unchecked(energy), unchecked(gradient)
 unconstrained_energy_unchecked = unchecked(unconstrained_energy)
 geodesic_energy_unchecked, geodesic_gradient_unchecked = unchecked(geodesic_energy), unchecked(geodesic_gradient)

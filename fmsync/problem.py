@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmsync import checks
+from fmsync.block_products import products
 from fmsync.checks import checked, unchecked
 from fmsync.files import replacing
 from fmsync.so import transpose
@@ -98,7 +99,7 @@ class SyncProblem:
         error = np.empty(self.n_edges)
         for first in range(0, self.n_edges, _EDGES_AT_ONCE):
             maps = self.maps[first : first + _EDGES_AT_ONCE]
-            rest = transpose(maps) @ maps - np.eye(self.n)
+            rest = products(maps, maps, transposed=True) - np.eye(self.n)
             error[first : first + _EDGES_AT_ONCE] = np.sqrt(np.einsum("eab,eab->e", rest, rest) / self.n)
         return error
 
@@ -129,6 +130,11 @@ class SyncProblem:
         forward = np.repeat([True, False], self.n_edges)[order]
         start = np.concatenate([[0], np.cumsum(np.bincount(node, minlength=self.n_nodes))])
         return start, edge, other, forward
+
+    @cached_property
+    def edge_order(self) -> np.ndarray:
+        """(E,) edges sorted by their nodes, so that what one has read is near when the next one needs it."""
+        return np.lexsort((self.edges.max(axis=1), self.edges.min(axis=1)))
 
     @cached_property
     def constant(self) -> float:

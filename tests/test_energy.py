@@ -1,5 +1,7 @@
 """Energies agree with plain loops, derivatives with finite differences."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -59,13 +61,16 @@ class TestEnergies:
 
     def test_dense_and_sparse_products_agree(self):
         dense, rng = PROBLEMS["multigraph"], np.random.default_rng(0)
+        sparse = copy.copy(dense)
+        sparse.__dict__["is_dense"] = False
         c = rng.standard_normal((3, 4, 5, 5))
-        blocks = c.swapaxes(-2, -1)
-        sums = energies.sparse_sums(dense, blocks).swapaxes(-2, -1)
+        blocks, sums = c.swapaxes(-2, -1), energies.neighbour_sums(dense, c)
         assert dense.is_dense
         assert not PROBLEMS["sparse"].is_dense
-        np.testing.assert_allclose(energies.neighbour_sums(dense, c), sums, atol=1e-12)
-        single = energies.sparse_sums(dense, blocks.astype(np.float32), dense.maps.astype(np.float32))
+        for problem in (dense, sparse):
+            np.testing.assert_allclose(energies.neighbour_sums(problem, c), sums, atol=1e-12)
+            np.testing.assert_allclose(energies.transposed_sums(problem, blocks).swapaxes(-2, -1), sums, atol=1e-12)
+        single = energies.transposed_sums(sparse, blocks.astype(np.float32), sparse.maps.astype(np.float32))
         assert single.dtype == np.float32
         np.testing.assert_allclose(single.swapaxes(-2, -1), sums, atol=1e-4)
 

@@ -7,9 +7,11 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
+from fmsync.block_products import products
 from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as energy
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.estimators.base import Estimate
 from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
@@ -122,8 +124,8 @@ def shifted_certificate(
     by_node = scales[:, None, None]
 
     def apply(x: np.ndarray) -> np.ndarray:
-        rows = np.ascontiguousarray(transpose(x.reshape(n_nodes, n, -1)))
-        image = shift * rows - rows @ multipliers + by_node * neighbour_sums(problem, by_node * rows)
-        return transpose(image).reshape(x.shape)
+        blocks = x.reshape(n_nodes, n, -1)
+        image = shift * blocks - products(multipliers, blocks) + by_node * transposed_sums(problem, by_node * blocks)
+        return image.reshape(x.shape)
 
     return float(shift), apply

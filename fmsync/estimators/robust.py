@@ -8,11 +8,11 @@ import numpy as np
 from fmsync import checks, langevin
 from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
+from fmsync.energy import squared_residuals
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem
-from fmsync.problem import relative_maps_unchecked as relative_maps
 
 Rule = Callable[[np.ndarray], tuple[float, np.ndarray]]  # squared residuals (E,) -> the cost, inlier weights (E,)
 LOSSES = ("mixture", "geman-mcclure", "l1")
@@ -56,7 +56,7 @@ def robust(
     rule = _l1(problem)
     if loss != "l1":
         absolute = _reweigh(problem, rule, absolute, None, 1e-2, 50)[0]
-        rule = (_geman_mcclure if loss == "geman-mcclure" else _mixture)(problem, _squares(problem, absolute))
+        rule = (_geman_mcclure if loss == "geman-mcclure" else _mixture)(problem, squared_residuals(problem, absolute))
     absolute, *found = _reweigh(problem, rule, absolute, callback, tolerance, max_iterations)
     fields = dict(zip(("cost", "edge_weights", "converged", "trace"), found))
     return Estimate.from_absolute(problem, absolute, "robust", group, **fields)
@@ -68,7 +68,7 @@ def _reweigh(
     """Rounds of weights and weighted least squares: (rotations, cost, inlier weights, converged, trace)."""
     recorder = Recorder(call)
     while True:
-        squares = _squares(problem, absolute)
+        squares = squared_residuals(problem, absolute)
         cost, inlier = rule(squares)
         scale = len(inlier) / max(inlier.sum(), 1e-300)
         weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
@@ -81,12 +81,6 @@ def _reweigh(
         if absolute is before:
             break  # no step lowers the cost any more: rounding is in the way
     return absolute, cost, np.clip(inlier, 0, 1), norm <= tolerance, recorder.trace()
-
-
-def _squares(problem: SyncProblem, absolute: np.ndarray) -> np.ndarray:
-    """Squared residuals (E,)."""
-    residual = relative_maps(absolute, problem.edges) - problem.maps
-    return np.einsum("eab,eab->e", residual, residual)
 
 
 def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:

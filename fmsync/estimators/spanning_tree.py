@@ -1,7 +1,8 @@
 """Multiplying maps along one spanning tree: what one has before synchronization."""
 
-import networkx as nx
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import breadth_first_order
 
 from fmsync import checks
 from fmsync.checks import checked
@@ -18,14 +19,15 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
     ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
     """
     checks.one_of("group", group, GROUPS)
-    graph = nx.empty_graph(problem.n_nodes)
-    for e in np.argsort(problem.weights, kind="stable"):  # heavier ones overwrite lighter ones
-        graph.add_edge(*problem.edges[e].tolist(), index=int(e))
+    heaviest = {frozenset(problem.edges[e].tolist()): e for e in np.argsort(problem.weights, kind="stable")}
+    adjacency = sp.coo_array((np.ones(problem.n_edges), problem.edges.T), shape=(problem.n_nodes, problem.n_nodes))
+    order, parents = breadth_first_order((adjacency + adjacency.T).tocsr().sorted_indices(), 0)
     maps = nearest(problem.maps, group)
     absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
     absolute[0] = np.eye(problem.n)
-    for parent, child in nx.bfs_edges(graph, 0, sort_neighbors=sorted):
-        e = graph.edges[parent, child]["index"]
+    for child in order[1:].tolist():
+        parent = int(parents[child])
+        e = heaviest[frozenset((parent, child))]
         forward = problem.edges[e, 0] == parent
         absolute[child] = absolute[parent] @ (maps[e] if forward else maps[e].T)
     estimate = Estimate.from_absolute(problem, absolute, "spanning-tree", group)

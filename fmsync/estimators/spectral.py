@@ -7,8 +7,7 @@ from fmsync import checks, so
 from fmsync.block_krylov import block_lanczos, orthonormal_rows
 from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
-from fmsync.energy import sparse_sums_unchecked as sparse_sums
+from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
@@ -55,15 +54,12 @@ def _leading_eigenvectors(
         return eigh(scale[:, None] * problem.connection * scale, subset_by_index=[size - n, size - 1])[1]
     precision = np.float32 if tolerance >= _SINGLE_FROM else np.float64
     scale = scale[:, None].astype(precision)
-    maps = None if problem.is_dense else problem.maps.astype(precision, copy=False)
+    maps = problem.maps if problem.is_dense else problem.maps.astype(precision, copy=False)
 
     def multiply(x: np.ndarray) -> np.ndarray:  # (N n, n)
         blocks = (scale * x).reshape(problem.n_nodes, n, n)
-        if problem.is_dense:
-            sums = so.transpose(neighbour_sums(problem, so.transpose(blocks)))
-        else:
-            sums = sparse_sums(problem, blocks, maps)
-        return scale * sums.reshape(size, n).astype(precision, copy=False)
+        sums = transposed_sums(problem, blocks, maps).reshape(size, n)
+        return scale * sums.astype(precision, copy=False)
 
     start, _ = orthonormal_rows(rng.standard_normal((size, n)).astype(precision).T)
     _, rows = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)

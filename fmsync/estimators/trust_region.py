@@ -10,8 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from fmsync import so
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
-from fmsync.energy import sparse_sums_unchecked as sparse_sums
+from fmsync.block_products import products
+from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.estimators.base import Callback, Recorder, Trace
 from fmsync.problem import SyncProblem
 from fmsync.so import sym, transpose
@@ -63,27 +63,21 @@ class Rotations:
 
     def __init__(self, problem: SyncProblem):
         self._problem = problem
-        self._single = None if problem.is_dense else problem.maps.astype(np.float32)
+        self._maps = problem.maps if problem.is_dense else problem.maps.astype(np.float32)
         self.dimension = problem.n_nodes * problem.dim
         self.diameter = np.sqrt(problem.n_nodes * problem.n)
         self.magnitude = max(1.0, problem.constant)
 
     def evaluate(self, absolute: np.ndarray) -> Point:
-        product = transpose(absolute) @ neighbour_sums(self._problem, absolute)  # C_j^T S_j
+        product = products(transposed_sums(self._problem, transpose(absolute)), absolute)  # S_j^T C_j
         cost = self._problem.constant - float(np.einsum("jaa->", product))
-        gradient, curvature = transpose(product) - product, sym(product)
-        if self._single is None:
-            return Point(absolute, cost, gradient, (absolute, curvature))
-        return Point(absolute, cost, gradient, (absolute.astype(np.float32), curvature.astype(np.float32)))
+        extra = [a.astype(self._maps.dtype, order="C") for a in (absolute, sym(product), transpose(absolute))]
+        return Point(absolute, cost, product - transpose(product), extra)
 
     def hessian(self, point: Point, direction: np.ndarray) -> np.ndarray:
-        absolute, curvature = point.extra
-        if self._single is None:
-            inner = transpose(neighbour_sums(self._problem, absolute @ direction)) @ absolute
-        else:  # skew-symmetric: (C Omega)^T = -Omega C^T
-            inner = sparse_sums(self._problem, direction @ transpose(absolute), self._single) @ absolute
-            inner *= -1
-        inner += curvature @ direction  # (C^T S' - Omega Lambda)^T
+        absolute, curvature, transposed = point.extra
+        moving = transposed_sums(self._problem, products(direction, transposed), self._maps)  # (-S')^T: Omega is skew
+        inner = products(curvature, direction) - products(moving, absolute)  # (C^T S' - Omega Lambda)^T
         return inner - transpose(inner)  # -2 skew of its transpose
 
     def preconditioner(self, point: Point) -> np.ndarray:
