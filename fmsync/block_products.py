@@ -21,9 +21,14 @@ def products(left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -
     """``left @ right`` of (B, n, k) and (B, k, m); with ``transposed`` ``left`` are (B, k, n)."""
     rows = left.shape[2 if transposed else 1]
     out = np.zeros((len(left), rows, right.shape[2]), np.result_type(left, right))
+    add_to(out, left, right, transposed=transposed)
+    return out
+
+
+def add_to(out: np.ndarray, left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> None:
+    """Add :func:`products` to ``out`` (B, n, m), which is C-contiguous."""
     every = np.arange(len(left))
     add_products(out, every, left, every, np.full(len(left), transposed), right, every)
-    return out
 
 
 def add_products(

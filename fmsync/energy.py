@@ -14,6 +14,7 @@ from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.so import skew, sym, transpose
 
 _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observations
+_CHAINS_AT_ONCE = 8  # of one dense product: those of many chains leave the cache
 
 
 @checked(c="... N m n")
@@ -28,9 +29,13 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     if problem.is_dense:
         n_nodes, rows, n = c.shape[-3:]
         flat = c.reshape(-1, n_nodes, rows, n)
-        stacked = np.ascontiguousarray(flat.transpose(0, 2, 1, 3)).reshape(-1, n_nodes * n)  # (K m, N n)
-        sums = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n).transpose(0, 2, 1, 3)
-        return np.ascontiguousarray(sums).reshape(c.shape)
+        sums = np.empty(flat.shape)
+        for first in range(0, len(flat), _CHAINS_AT_ONCE):
+            part = flat[first : first + _CHAINS_AT_ONCE]
+            stacked = part.transpose(0, 2, 1, 3).reshape(-1, n_nodes * n)  # (K m, N n)
+            product = (stacked @ problem.connection).reshape(-1, rows, n_nodes, n)
+            sums[first : first + _CHAINS_AT_ONCE] = product.transpose(0, 2, 1, 3)
+        return sums.reshape(c.shape)
     return np.ascontiguousarray(transpose(transposed_sums_unchecked(problem, transpose(c))))
 
 
@@ -56,9 +61,10 @@ def transposed_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray |
 @checked(c="... N n n")
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
-    return squared_residuals(problem, c) @ problem.weights
+    return squared_residuals_unchecked(problem, c) @ problem.weights
 
 
+@checked(c="... N n n")
 def squared_residuals(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""(..., E) the terms :math:`\lVert C_i^\top C_j - C_{ij}\rVert_F^2` of :func:`energy`, in double precision."""
     flat, chains = c.astype(float, copy=False).reshape(-1, *c.shape[-2:]), np.arange(c[..., 0, 0, 0].size)
@@ -138,5 +144,6 @@ def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 # without the tests of arguments: for loops inside the library
 neighbour_sums_unchecked, transposed_sums_unchecked = unchecked(neighbour_sums), unchecked(transposed_sums)
 energy_unchecked, gradient_unchecked = unchecked(energy), unchecked(gradient)
+squared_residuals_unchecked = unchecked(squared_residuals)
 unconstrained_energy_unchecked = unchecked(unconstrained_energy)
 geodesic_energy_unchecked, geodesic_gradient_unchecked = unchecked(geodesic_energy), unchecked(geodesic_gradient)

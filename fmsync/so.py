@@ -9,13 +9,23 @@ ours divided by √2.
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
 from scipy.linalg import expm, schur
 
 from fmsync import checks
+from fmsync.block_products import add_to, products
 from fmsync.checks import checked, unchecked
 
 # Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
 _SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
+
+# θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
+_SERIES_REACH = 0.5
+_AT_ONCE = 128  # matrices whose powers stay in the cache
+_interpolant = Chebyshev.interpolate(
+    lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
+)
+_SERIES: np.ndarray = _interpolant.convert(kind=Polynomial).coef.reshape(-1, 4).astype(float)
 
 
 def transpose(a: np.ndarray) -> np.ndarray:
@@ -93,9 +103,10 @@ def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
     The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
-    :math:`f(S)\,K` with f(cos θ) = θ / sin θ, from one symmetric eigenproblem for the whole batch. Near θ = π, where f
-    grows without bound, matrices are redone one by one from the real Schur form. At π itself (the cut locus) the
-    logarithm is not unique; one of the shortest is returned.
+    :math:`f(S)\,K` with f(cos θ) = θ / sin θ: within a quarter turn of I a polynomial of S, otherwise from one
+    symmetric eigenproblem for the rest of the batch. Near θ = π, where f grows without bound, matrices are redone one
+    by one from the real Schur form. At π itself (the cut locus) the logarithm is not unique; one of the shortest is
+    returned.
 
     >>> log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
     array([[ 0.    , -1.5708],
@@ -104,6 +115,35 @@ def log(r: np.ndarray) -> np.ndarray:
     r = np.asarray(r, dtype=float)
     n = r.shape[-1]
     flat = r.reshape(-1, n, n)
+    omega, near = np.empty(flat.shape), np.empty(len(flat), bool)
+    for first in range(0, len(flat), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        omega[part], near[part] = _log_series(flat[part])
+    omega[~near] = _log_eigen(flat[~near])
+    return omega.reshape(r.shape)
+
+
+def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r"""Logarithms (B, n, n), and of which matrices they are good: those whose angles are clearly below π/2.
+
+    With :math:`X = (I - S)/2`, whose eigenvalues are :math:`\sin^2(\theta/2)`, the largest is at most
+    :math:`\lVert X^4\rVert_F^{1/4}`. Horner's rule in the fourth power of X.
+    """
+    powers = np.empty((4, *r.shape))
+    powers[0], powers[1] = np.eye(r.shape[-1]), (np.eye(r.shape[-1]) - sym(r)) / 2
+    powers[2] = products(powers[1], powers[1])
+    powers[3] = products(powers[2], powers[1])
+    fourth = products(powers[2], powers[2])
+    near = np.einsum("bij,bij->b", fourth, fourth) < _SERIES_REACH**8
+    *lower, total = np.tensordot(_SERIES, powers, 1)
+    for part in lower[::-1]:
+        add_to(part, fourth, total)
+        total = part
+    return skew(products(total, skew(r))), near
+
+
+def _log_eigen(flat: np.ndarray) -> np.ndarray:
+    """Logarithms (B, n, n) from eigenvectors of the symmetric parts, or the Schur form where they are too rough."""
     skewed = skew(flat)
     cosine, v = np.linalg.eigh(sym(flat))
     moved = skewed @ v
@@ -117,7 +157,7 @@ def log(r: np.ndarray) -> np.ndarray:
     )
     for index in np.flatnonzero(~trusted):
         omega[index] = _log_schur(flat[index])
-    return omega.reshape(r.shape)
+    return omega
 
 
 def _log_schur(r: np.ndarray) -> np.ndarray:
@@ -192,10 +232,15 @@ def frechet_mean(
     if distance == "chordal":
         checks.unused("for a chordal mean", tolerance=(tolerance, 1e-10), max_iterations=(max_iterations, 100))
         return mean
-    for _ in range(max_iterations):
-        step = log_unchecked(transpose(mean) @ rotations).mean(axis=0)
-        mean = mean @ exp_unchecked(step)
-        if np.sqrt((step**2).sum((-2, -1))).max() < tolerance:
+    last_step, last_pull, length = mean, mean, np.ones(mean.shape[:-2])
+    for iteration in range(max_iterations):
+        pull = log_unchecked(transpose(mean) @ rotations).mean(axis=0)
+        if iteration:  # how much of the last pull its step took off tells how far to go (Barzilai & Borwein 1988)
+            curved = (last_step * (last_pull - pull)).sum((-2, -1))
+            length = np.clip((last_step**2).sum((-2, -1)) / np.maximum(curved, 1e-300), 1, 2)
+        last_pull, last_step = pull, length[..., None, None] * pull
+        mean = mean @ exp_unchecked(last_step)
+        if np.sqrt((pull**2).sum((-2, -1))).max() < tolerance:
             return project_unchecked(mean)  # takes off the rounding of many products
     why = "the rotations are too spread for a unique mean, use distance='chordal'"
     raise RuntimeError(f"frechet_mean: the geodesic fixed point did not converge in {max_iterations} iterations; {why}")

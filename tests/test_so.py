@@ -122,6 +122,17 @@ class TestLog:
             r, omega = rotation_with_angles([np.pi - gap, np.pi - 0.6 * gap, 0.4, 2.0, 1.0], rng)
             np.testing.assert_allclose(so.log(r), omega, atol=3e-11)
 
+    @pytest.mark.parametrize("n", [2, 3, 8, 20])
+    def test_the_polynomial_near_the_identity_agrees_with_eigenvectors(self, rng, n):
+        """It says for itself where it is good: at angles up to 1.2 it is, at angles beyond π/2 it is not."""
+        largest = np.array([1e-8, 1e-3, 0.3, 0.9, 1.2, 1.6, 2.5, 3.1])
+        omega = random_skew(rng, (8,), n)
+        omega *= (largest / np.linalg.norm(omega, ord=2, axis=(1, 2)))[:, None, None]
+        found, near = so._log_series(so.exp(omega))
+        assert near.tolist() == [True] * 5 + [False] * 3
+        np.testing.assert_allclose(found[near], omega[near], atol=1e-14, rtol=1e-9)
+        np.testing.assert_allclose(so._log_eigen(so.exp(omega)), omega, atol=1e-10)
+
     def test_identity_and_batches(self):
         assert np.abs(so.log(np.eye(6))).max() < 1e-12
         assert so.log(np.zeros((0, 4, 4))).shape == (0, 4, 4)

@@ -8,7 +8,7 @@ import numpy as np
 from fmsync import checks, langevin
 from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
-from fmsync.energy import squared_residuals
+from fmsync.energy import squared_residuals_unchecked as squared_residuals
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise

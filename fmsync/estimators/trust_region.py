@@ -4,6 +4,7 @@ A model knows a manifold embedded in arrays with the Frobenius product and a cos
 Euclidean energy on SO(n)^N and, as nothing in it looks at determinants, on O(n)^N.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -91,19 +92,25 @@ class Rotations:
 
 
 def minimise(
-    model: Model, start: np.ndarray, *, tolerance: float, max_iterations: int, callback: Callback | None = None
+    model: Model,
+    start: np.ndarray,
+    *,
+    tolerance: float | Callable[[float], float],
+    max_iterations: int,
+    callback: Callback | None = None,
 ) -> tuple[np.ndarray, bool, Trace]:
-    """A point with gradient norm below ``tolerance``, whether it was reached, and the trace."""
+    """A point with gradient norm below ``tolerance``, which may depend on the cost; if it was reached; the trace."""
     recorder = Recorder(callback)
     point = model.evaluate(start)
     recorder(point.absolute, point.cost, point.norm)
     radius = model.diameter / 8
     slack = _MACHINE_STEP * model.magnitude  # near the optimum both differences are rounding
     forcing = _LOOSE
+    allowed = tolerance if callable(tolerance) else lambda cost: tolerance
     for _ in range(max_iterations):
-        if point.norm <= tolerance:
+        if point.norm <= allowed(point.cost):
             break
-        target = max(forcing * point.norm, 0.3 * tolerance)  # no better than what is asked for
+        target = max(forcing * point.norm, 0.3 * allowed(point.cost))  # no better than what is asked for
         step, predicted, at_boundary, left = _truncated_cg(model, point, radius, target)
         trial = model.evaluate(model.retract(point, step))
         ratio = (point.cost - trial.cost + slack) / (predicted + slack)
@@ -117,7 +124,7 @@ def minimise(
             recorder(point.absolute, point.cost, point.norm)
         elif radius < 1e-14:
             break
-    return point.absolute, point.norm <= tolerance, recorder.trace()
+    return point.absolute, point.norm <= allowed(point.cost), recorder.trace()
 
 
 def _truncated_cg(model: Model, point: Point, radius: float, target: float) -> tuple[np.ndarray, float, bool, float]:
