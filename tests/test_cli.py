@@ -1,6 +1,5 @@
 """``fmsync solve``, ``sample`` and ``info``: what they write and say, and how they end."""
 
-import importlib
 import json
 import os
 
@@ -96,7 +95,7 @@ def test_a_run_that_is_stopped_or_fails_leaves_nothing(error, status, file, tmp_
     def fails(*arguments, **options):
         raise error
 
-    monkeypatch.setattr(importlib.import_module("fmsync.samplers.sample"), "sample", fails)
+    monkeypatch.setattr(fmsync, "sample", fails)
     ended, _, said = run(capsys, "sample", file, "-o", tmp_path / "out.npz")
     assert (ended, said.count("\n"), os.listdir(tmp_path)) == (status, 1, ["problem.npz"])
     if status == 130:
