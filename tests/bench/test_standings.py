@@ -13,7 +13,7 @@ def test_errors_are_relative_to_the_best_of_each_problem():
     table = standings.standings(pd.concat(rows).assign(method=lambda rows: rows.label))
     assert table.label.tolist() == ["mle", "observed"]  # the oracle sees the truth
     np.testing.assert_allclose(table[["ratio", "low", "high"]], [[2**0.5, 1, 2], [2, 1, 4]])
-    assert table.file.tolist() == ["fmsync/estimators/mle.py", "bench/methods/observed.py"]
+    assert table.file.tolist() == ["fmsync/estimators/mle.py", "bench/methods/controls.py"]
     shown = standings.as_list(table, "A < B")
     assert shown.count("<details") == 2
     assert "A &lt; B" in shown
