@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import i0, i1
 
 import fmsync
 from fmsync import langevin, so
@@ -48,6 +49,19 @@ def test_prior_is_sampled_with_its_own_concentration():
         average, error = mean_and_error(values)
         assert abs(average - 3 * langevin.mean_cosine(3, kappa)) < 4 * error
         assert error < 0.03
+
+
+@pytest.mark.parametrize("concentrations", [[1.0, 2.5], np.geomspace(400, 40, 10)])
+def test_concentration_by_frequency_is_a_factor_of_the_maps(concentrations):
+    """One observation I Λ: on SO(2) a von Mises angle, and for small noise the diagonal that the book reads Λ off."""
+    n, p = len(concentrations), fmsync.SyncProblem(2, [[0, 1]], np.diag(concentrations)[None])
+    post = fmsync.sample(p, "heat-bath", kappa=1.0, n_chains=20, n_draws=400, warmup=30, rng=4)
+    pairs = 1 / np.add.outer(concentrations, concentrations)
+    exact = 1 - np.repeat(i1(3.5) / i0(3.5), 2) if n == 2 else (pairs.sum(0) - np.diag(pairs)) / 2
+    for k in range(n):
+        mean, error = mean_and_error(1 - post.relative()[:, :, 0, k, k])
+        assert abs(mean - exact[k]) < 4.5 * error + (0 if n == 2 else 0.03 * exact[k])
+        assert error < 0.02
 
 
 def test_chains_do_not_depend_on_their_number():
