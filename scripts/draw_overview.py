@@ -1,6 +1,6 @@
 """Draw the picture of the introduction from a real run: maps that disagree, maps that agree, and how sure they are.
 
-Writes three panels for the page and one picture of all three for the README into book/images. Eleven synthetic cats,
+Writes three panels as one picture, for the first page and the README, into book/images. Eleven synthetic cats,
 every pair observed once with the noise of the paper at σ² = 0.1; three cats are shown. And two smaller cats to explore.
 """
 
@@ -73,10 +73,11 @@ def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> v
     """Two of eleven cats, and where their vertices go at three levels of the noise."""
     shapes = [shape.normalised() for shape in data_gen.load_collection("cats", n_vertices=n_vertices)]
     truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
-    pair, chosen = list(SHOWN[:2]), farthest_points(shapes[SHOWN[0]].vertices, min(n_vertices, 200))
+    pair, chosen = [0, 10], farthest_points(shapes[0].vertices, min(n_vertices, 200))
+    chosen = np.append(chosen, data_gen.front_paw(shapes[0]))  # which the chapters follow
     states: dict[str, list[viz.State]] = {"observed": [], "synchronised": [], "posterior": []}
     for sigma2 in (0.03, 0.1, 0.3):
-        problem = data_gen.perturb(truth, sigma2=sigma2, rng=1)
+        problem = data_gen.perturb(truth, sigma2=sigma2, rng=6)
         at = problem.edges.tolist().index(pair)
         options = {"n_chains": 2, "n_draws": n_draws // 2, "thin": 3, "warmup": warmup}
         with diagnostics.short_run():  # a hundred draws, no more
@@ -98,6 +99,7 @@ def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> v
         [state for view in states.values() for state in view],
         truth=(chosen, chosen),
         start=7,
+        vertex=len(chosen) - 1,
         alt="Two cats: a chosen vertex of one, and on the other the light of its images under a hundred draws.",
     )
 
@@ -155,10 +157,6 @@ def save(fig: Figure, path: Path) -> None:
 
 if __name__ == "__main__":
     told = compute()
-    for k in range(3):
-        fig = plt.figure(figsize=(3.6, 3.6), dpi=160)
-        panel(told, k, fig.add_axes((0, 0, 1, 1)))
-        save(fig, IMAGES / f"overview-{k + 1}.png")
     fig, axes = plt.subplots(1, 3, figsize=(9.6, 3.7), dpi=96, layout="none")
     fig.subplots_adjust(0, 0.12, 1, 1, 0.02, 0)
     for k, (axis, caption) in enumerate(zip(axes, _CAPTIONS)):

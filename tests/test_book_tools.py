@@ -132,7 +132,7 @@ def test_binder_installs_the_lock_file_and_the_packages_of_the_readme():
 
 def test_pictures_stay_small():
     pictures = sorted((ROOT / "book" / "images").glob("*.png"))
-    assert len(pictures) == 4
+    assert len(pictures) == 1
     assert all(picture.stat().st_size < 150_000 for picture in pictures)
     explorer = (ROOT / "book" / "images" / "explorer.html").read_text(encoding="utf-8")
     assert len(explorer) < 300_000

@@ -270,6 +270,7 @@ class Valid:
             "fmsync.mesh_io.mesh_files": {"paths": [mesh]},
             "fmsync.mesh_io.read_shape": {"path": mesh},
             "fmsync.problem.save_problem": {"path": folder / "again.npz"},
+            "fmsync.viz.explorer.glow": {"images": order[:3]},
             "fmsync.viz.figures.heatmaps": {"matrices": [np.eye(3)], "clim": (-1.0, 1.0)},
             "fmsync.viz.figures.picture": {"fig": plt.figure(figsize=(1, 1))},
             "fmsync.viz.loops.loop": {"figures": self.figures()},

@@ -8,7 +8,7 @@ from fmsync.extras import require_all
 require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 
 from fmsync.colours import colours_from_coordinates  # noqa: E402
-from fmsync.viz.explorer import Explorer, State, explorer  # noqa: E402
+from fmsync.viz.explorer import Explorer, State, explorer, glow  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
 from fmsync.viz.loops import Loop, loop, walk_on_sphere  # noqa: E402
 from fmsync.viz.scenes import Scene, scene  # noqa: E402
@@ -22,6 +22,7 @@ __all__ = [
     "State",
     "colours_from_coordinates",
     "explorer",
+    "glow",
     "heatmaps",
     "loop",
     "picture",

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from fmsync import checks
+from fmsync.checks import checked
 from fmsync.shape import Shape
 from fmsync.viz.figures import Shown, image_tag
 from fmsync.viz.scenes import AXES, centred, display_mesh, scene
@@ -79,6 +82,7 @@ def explorer(
     truth: Both | None = None,
     level: float = 0.9,
     start: int = 0,
+    vertex: int | None = None,
 ) -> Explorer:
     """Two shapes side by side, upright (z is up), with all that is known of where some of their vertices go.
 
@@ -99,6 +103,8 @@ def explorer(
         For every vertex to choose from, where it belongs on the other shape, (S_0,) and (S_1,): marked, if given.
     level, start
         What share the regions are to hold; number of the state that is shown first.
+    vertex
+        Number, among the vertices to choose from, of the one chosen first; by default one in front.
 
     Raises
     ------
@@ -120,6 +126,8 @@ def explorer(
     unit = float(np.sqrt(shapes[0].area))
     across, upward, towards = AXES.T @ given[0][vertices[0]].T
     row = int((towards - 2 * np.hypot(across, upward)).argmax())  # in front, and in the middle of the picture
+    if vertex is not None:
+        row = int(checks.indices("vertex", [vertex], len(vertices[0]), "vertices to choose from")[0])
     arrays: list[tuple[np.ndarray, str]] = []
     for k, (points, faces, _) in enumerate(drawn):
         arrays += [(np.rint(points / scale), "<i2"), (faces, "<u2"), (near[k][vertices[k]], "<u2")]
@@ -147,7 +155,26 @@ def explorer(
     data = base64.b64encode(zlib.compress(raw, 9)).decode()
     if len(data) > _MOST_BYTES:
         raise ValueError(f"the explorer has {len(data)} bytes: give fewer vertices or states, {_MOST_BYTES} at most")
-    return Explorer(_still(shapes, vertices, states[start], alt, row, unit * _GLOW), alt, data)
+    return Explorer(_still(shapes, vertices, states[start], alt, row), alt, data)
+
+
+@checked(images="K < V", width=checks.positive)
+def glow(shape: Shape, images: ArrayLike, width: float = _GLOW) -> np.ndarray:
+    """Colours (V, 3) that show where the images (K,) of one vertex fall on a shape, e.g. under K draws.
+
+    The light of one image falls off as a Gaussian of standard deviation ``width`` in square roots of the area. The
+    colour shows the square root of the light, so that places of few images are seen as well.
+
+    Examples
+    --------
+    >>> ball = Shape(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    >>> glow(ball, [2, 2]).argmin(axis=0)[2]  # blue is least where the images are
+    np.int64(2)
+    """
+    points = np.asarray(shape.vertices, dtype=float) / np.sqrt(shape.area)
+    at = checks.indices("images", images, len(points))
+    light = np.exp(-(cdist(points, points[at]) ** 2) / (2 * width**2)).sum(axis=1)
+    return _RAMP(np.sqrt(light / max(light.max(), 1e-12)))[:, :3]
 
 
 def _described(state: State) -> dict[str, object]:
@@ -160,14 +187,11 @@ def _described(state: State) -> dict[str, object]:
     }
 
 
-def _still(shapes: Sequence[Shape], vertices: Both, state: State, alt: str, row: int, width: float) -> bytes:
+def _still(shapes: Sequence[Shape], vertices: Both, state: State, alt: str, row: int) -> bytes:
     """A state as a picture: the chosen vertex, and the light of its images."""
     source, target = shapes
-    points = np.asarray(target.vertices)
-    squared = ((points[:, None] - points[state.images[0][row]]) ** 2).sum(axis=2)  # (V, K)
-    width = width / 2 if state.images[0].shape[1] == 1 else width
-    light = np.exp(-squared / (2 * width**2)).sum(axis=1)
-    colours = [_RAMP(np.zeros(len(source.vertices)))[:, :3], _RAMP(light / light.max())[:, :3]]
+    images = state.images[0][row]
+    colours = [glow(source, []), glow(target, images, _GLOW / 2 if len(images) == 1 else _GLOW)]
     titles = [f"{source.name}: vertex {vertices[0][row]}", f"{target.name}: {state.view}"]
     return scene(shapes, colours, titles, points=[[vertices[0][row]], []], columns=2, alt=alt).png
 
