@@ -1,0 +1,165 @@
+"""How fast the library is beside other software and the limits of the machine: ``results/speed.json``.
+
+``python -m bench.speed`` measures each row at least five times, ours and its reference in turn, so that a machine whose
+speed changes meanwhile slows both. One thread, CPU seconds. ``--largest`` leaves larger problems out.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import bench.peers  # noqa: F401  registers the peers
+import data_gen
+import fmsync
+from bench.provenance import versions
+from bench.studies import add_part
+from fmsync import block_products, so
+from fmsync.energy import transposed_sums_unchecked as transposed_sums
+from fmsync.samplers.base import Target
+from fmsync.samplers.rlfm import RLFM
+from fmsync.threads import single_threaded_blas
+
+SIZES, N, DEGREE, SIGMA2, RUNS = (300, 1000, 3000, 10000), 20, 20, 0.1, 5
+_PLAIN = (
+    "import time, numpy, scipy.linalg, scipy.sparse.csgraph, scipy.special; t = time.process_time(); import fmsync; "
+)
+_TINY = "p = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], numpy.stack([numpy.eye(4)] * 3)); "
+_FIRST = {
+    "import": "",
+    "first solve": f"{_TINY}fmsync.solve(p); ",
+    "first heat bath": f"{_TINY}fmsync.sample(p, 'heat-bath', kappa=5.0, n_draws=5, warmup=5); ",
+}
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """CPU seconds of one call."""
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def paired(first: Callable[[], object], second: Callable[[], object], runs: int = RUNS) -> dict[str, float]:
+    """Median seconds of both, measured in turn after one call each, and quartiles of the ratio of the second."""
+    first(), second()
+    times = np.array([(seconds(first), seconds(second)) for _ in range(runs)])
+    low, ratio, high = np.quantile(times[:, 1] / times[:, 0], [0.25, 0.5, 0.75])
+    ours, theirs = np.median(times, axis=0)
+    return {"ours": ours, "reference": theirs, "ratio": ratio, "ratio_low": low, "ratio_high": high}
+
+
+def problem(n_nodes: int, noise: int = 2) -> fmsync.SyncProblem:
+    """Haar-random truth on a random graph of mean degree 20, observed with the paper's noise, which has a seed."""
+    graph = data_gen.random_graph(n_nodes, DEGREE / (n_nodes - 1), rng=0)
+    return data_gen.perturb(data_gen.planted(n_nodes, N, graph, rng=1), SIGMA2, noise)
+
+
+def neighbour_sums(p: fmsync.SyncProblem, dtype: type) -> dict[str, float]:
+    """Rates of sums over neighbours, of NumPy's batched products, and of one large product, in GFlop/s."""
+    maps, blocks = p.maps.astype(dtype), so.random_uniform(N, p.n_nodes, 1).astype(dtype)
+    square, flops, large = np.ones((1000, 1000), dtype), 4 * p.n_edges * N**3 / 1e9, 2.0
+    (i, j), copy = p.edges.T, maps.copy()
+
+    def by_numpy() -> None:
+        out = np.zeros_like(blocks)
+        np.add.at(out, i, maps @ blocks[j])
+        np.add.at(out, j, so.transpose(maps) @ blocks[i])
+
+    ours = paired(lambda: transposed_sums(p, blocks, maps), by_numpy, 2 * RUNS)
+    limit = paired(lambda: transposed_sums(p, blocks, maps), lambda: square @ square, 2 * RUNS)
+    return ours | {
+        "rate": flops / limit["ours"], "large": large / limit["reference"],
+        "share": flops / large * limit["ratio"],  # of the rate of the large product, pair by pair
+        "copied": 2 * maps.nbytes / paired(lambda: np.copyto(copy, maps), lambda: None)["ours"] / 1e9,  # GB/s
+        "read": maps.nbytes / limit["ours"] / 1e9,
+    }  # fmt: skip
+
+
+def solves(p: fmsync.SyncProblem) -> dict[str, float]:
+    """Seconds of ``"mle"``, of large products of as many operations, and its memory over that of the observations."""
+    done, kernel = [0], block_products._add_products  # noqa: SLF001
+    times = []
+    for _ in range(RUNS):
+        times.append(seconds(lambda: fmsync.solve(p)))
+    block_products._add_products = lambda out, to, *rest: (done.append(len(to)), kernel(out, to, *rest))  # noqa: SLF001
+    tracemalloc.start()
+    try:
+        fmsync.solve(p)
+        memory = tracemalloc.get_traced_memory()[1] / p.maps.nbytes
+    finally:
+        tracemalloc.stop()
+        block_products._add_products = kernel  # noqa: SLF001
+    square = np.ones((1000, 1000))
+    large = np.median([seconds(lambda: square @ square) for _ in range(RUNS)])
+    low, middle, high = np.quantile(times, [0.25, 0.5, 0.75])
+    found = {"n_nodes": p.n_nodes, "n_edges": p.n_edges, "seconds": middle, "low": low, "high": high}
+    return found | {"limit": sum(done) * 2 * N**3 / 2e9 * large, "memory": memory}
+
+
+def warm(p: fmsync.SyncProblem, other: fmsync.SyncProblem) -> dict[str, float]:
+    """A solve after 2 % of the edges were observed anew, from the solution before, beside a cold one."""
+    before, maps = fmsync.solve(p, tolerance="statistical"), p.maps.copy()
+    changed = np.random.default_rng(0).permutation(p.n_edges)[: p.n_edges // 50]
+    maps[changed] = other.maps[changed]
+    new = fmsync.SyncProblem(p.n_nodes, p.edges, maps)
+    return paired(
+        lambda: fmsync.solve(new, tolerance="statistical", init=before),
+        lambda: fmsync.solve(new, tolerance="statistical"),
+    )
+
+
+def steps() -> dict[str, float]:
+    """An RLFM step of one chain, ours, beside that of one of 64, at N = 11."""
+    p = data_gen.perturb(data_gen.planted(11, N, rng=0), 0.2, 1)
+    start = fmsync.solve(p).absolute
+    alone, many = (RLFM(Target(p, None, 8.1), np.stack([start] * k), np.random.default_rng(0)) for k in (1, 64))
+    return paired(lambda: many.step(False), lambda: [alone.step(False) for _ in range(64)], 2 * RUNS)
+
+
+def first_calls() -> dict[str, dict[str, float]]:
+    """CPU seconds of first calls in new processes, beyond NumPy and SciPy, with compiled kernels in their cache."""
+    found = {}
+    for name, call in _FIRST.items():
+        code, runs = f"{_PLAIN}{call}print(time.process_time() - t)", []
+        for _ in range(RUNS + 1):  # the first one fills the cache
+            line = [sys.executable, "-W", "ignore", "-c", code]
+            runs.append(float(subprocess.run(line, check=True, capture_output=True, text=True, env=os.environ).stdout))
+        low, middle, high = np.quantile(runs[1:], [0.25, 0.5, 0.75])
+        found[name] = {"seconds": middle, "low": low, "high": high}
+    return found
+
+
+def main() -> None:
+    """Measure, and write the file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--largest", type=int, default=SIZES[-1], help="leave out problems with more shapes")
+    largest = parser.parse_args().largest
+    small, middle = problem(100), problem(1000)
+    turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
+    with single_threaded_blas():
+        found = {
+            "sums": {
+                kind.__name__: neighbour_sums(problem(min(3000, largest)), kind) for kind in (np.float64, np.float32)
+            },
+            "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
+            "warm": warm(middle, problem(1000, noise=3)),
+            "steps": steps(),
+            "mean": paired(lambda: so.frechet_mean(turns), lambda: so._log_eigen(turns)),  # noqa: SLF001
+            "solves": [solves(problem(size)) for size in SIZES if size <= largest],
+        }
+    add_part(
+        Path("results/speed.json"),
+        "speed",
+        {"versions": versions(), **found, "first": first_calls()},
+        "python -m bench.speed",
+    )
+
+
+if __name__ == "__main__":
+    main()

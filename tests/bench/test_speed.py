@@ -1,0 +1,24 @@
+"""The study of speed: its rows on small problems, and that it leaves the library as it was."""
+
+import numpy as np
+
+from bench import speed
+from fmsync import block_products
+
+
+def test_rows_are_complete_and_the_kernel_is_put_back(monkeypatch):
+    monkeypatch.setattr(speed, "RUNS", 2)
+    kernel, p = block_products._add_products, speed.problem(60)
+    row = speed.solves(p)
+    assert block_products._add_products is kernel
+    assert row["n_edges"] == 600
+    assert 0 < row["limit"] < 10 * row["seconds"]
+    assert 0 < row["memory"] < 3
+    sums = speed.neighbour_sums(p, np.float64)
+    assert all(np.isfinite(value) and value > 0 for value in sums.values())
+
+
+def test_pairs_are_ratios_of_the_second_to_the_first():
+    pair = speed.paired(lambda: sum(range(10**5)), lambda: sum(range(10**6)), runs=3)
+    assert pair["ratio_low"] <= pair["ratio"] <= pair["ratio_high"]
+    assert pair["ratio"] > 3
