@@ -7,9 +7,10 @@ import re
 import shutil
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import fmsync
@@ -35,6 +36,7 @@ def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
     told = "text file of vertices, counted from zero, that correspond: a line 'NAME: 12 340 7' for every mesh, or "
     told += "lines of numbers alone in the order in which the meshes are listed"
     parser.add_argument("--landmarks", type=Path, metavar="FILE", help=told)
+    parser.add_argument("--drop-outliers", action="store_true", help="leave out shapes that are unlike the rest")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: cores)")
     parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
@@ -86,8 +88,10 @@ def run(options: argparse.Namespace) -> int:
     names = file_names([file.stem for file in files])
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     with _working_folder(options.output) as work:
-        with warnings.catch_warnings(record=True) as caught:
+        caught: list[str] = []
+        with warnings.catch_warnings():
             warnings.simplefilter("always")
+            warnings.showwarning = partial(_hear, caught)
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
             sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
             maps = None if options.maps is None else read_maps(options.maps, stems, sizes)
@@ -95,20 +99,23 @@ def run(options: argparse.Namespace) -> int:
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
-            given = {"maps": maps, "landmarks": landmarks, "graph": options.graph}
+            given = {
+                "maps": maps,
+                "landmarks": landmarks,
+                "graph": options.graph,
+                "drop_outliers": options.drop_outliers,
+            }
             synced = fmsync.matching.synchronize_shapes(shapes, **given, **counts, **stage)
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         write_all(synced, folder, options.level, calibration, progress=progress)
         _publish(work, options.output)
-    # of other categories: a ConvergenceWarning is one of the flags, the rest is for programmers
-    unsaid = [str(w.message) for w in caught if w.category in (UserWarning, RuntimeWarning)]
-    said = list(dict.fromkeys([*quality_flags(synced), *unsaid]))
+    said = list(dict.fromkeys([*quality_flags(synced), *caught]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
     if options.json:
-        print(json.dumps(_summary(synced, options.output, files, said), indent=1))
+        print(json.dumps(_summary(synced, options.output, dict(zip(names, files)), said), indent=1))
     else:
         print(f"{options.output}/report.html: open it in a browser; README.txt beside it says what the other files are")
     return 0
@@ -168,7 +175,7 @@ def _working_folder(output: Path) -> Iterator[Path]:
 
 
 def _summary(
-    synced: "fmsync.matching.SyncedShapes", output: Path, files: Sequence[Path], said: Sequence[str]
+    synced: "fmsync.matching.SyncedShapes", output: Path, files: Mapping[str, Path], said: Sequence[str]
 ) -> dict[str, object]:
     """What a script wants to know of a result."""
     from fmsync.matching.output import edge_table
@@ -177,14 +184,26 @@ def _summary(
     return {
         "output": str(output),
         "shapes": [
-            {"name": s.shape.name, "file": os.fspath(file), "vertices": s.shape.n_vertices}
-            for s, file in zip(synced.shapes, files)
+            {"name": s.shape.name, "file": os.fspath(files[s.shape.name]), "vertices": s.shape.n_vertices}
+            for s in synced.shapes
         ],
+        "outliers": list(synced.outliers),
+        "left_out": [name for name in synced.outliers if name not in synced.names],
         "pairs": json.loads(edge_table(synced).to_json(orient="records")),
         "draws": int(synced.posterior.energy.size),
         "kappa": float(synced.posterior.kappa.mean()),
         "warnings": list(said),
     }
+
+
+def _hear(caught: list[str], message: Warning | str, category: type[Warning], *_: object) -> None:
+    """Keep warnings that are not said in plain words already; say at once what is known before long work."""
+    from fmsync.matching.outliers import OutlierWarning
+
+    if category is OutlierWarning:
+        print(f"fmsync: warning: {message}", file=sys.stderr)
+    elif category in (UserWarning, RuntimeWarning):
+        caught.append(str(message))  # a ConvergenceWarning is one of the flags, the rest is for programmers
 
 
 def _landmarks(path: Path, shapes: "Sequence[fmsync.Shape]") -> list[list[int]]:

@@ -9,7 +9,8 @@ The order serves for evaluation, never for maps. Each part is a command, and add
   and with four landmarks; ``... planted cats``: coverage where the model is right; ``... given tosca_cat``: what
   synchronisation makes of pyFM's maps, right and spoiled, on these and on random species.
 * ``python -m bench.own_shapes species``: coverage over random species, of which nothing else is read; ``... refit --out
-  fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species.
+  fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species; ``... outliers``:
+  how many shapes that do not belong to a folder are found, and how many others are named.
 
 A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """
@@ -17,7 +18,7 @@ A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths a
 import argparse
 from pathlib import Path
 
-from bench.own_shapes import confidence, given, species
+from bench.own_shapes import confidence, given, outliers, species
 from bench.own_shapes.evaluation import collection
 from bench.own_shapes.stages import remeshed
 from bench.studies import add_part
@@ -35,7 +36,7 @@ _KEPT = Path("_build/species")  # points of finished species
 def main(arguments: list[str] | None = None) -> None:
     """Measure one part and add it to the file of results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "species", "refit"])
+    parser.add_argument("part", choices=[*PARTS, "species", "outliers", "refit"])
     parser.add_argument("collections", nargs="*")
     parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
     options = parser.parse_args(arguments)
@@ -46,6 +47,8 @@ def main(arguments: list[str] | None = None) -> None:
         species.fitted(species.all_points(species.FIT, _KEPT)).save(options.out)
     elif options.part == "species":
         add_part(options.out, "species", species.table(_KEPT), command)
+    elif options.part == "outliers":
+        add_part(options.out, "outliers", outliers.table(_KEPT.with_name("outliers")), command)
     else:
         loaded = {Path(name).name: collection(name) for name in options.collections}
         add_part(options.out, options.part, PARTS[options.part](loaded), command)

@@ -12,6 +12,7 @@ from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
 from fmsync.matching.latent import map_from_values
 from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
+from fmsync.matching.outliers import belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.matching.synchronize import SyncedShapes
@@ -57,9 +58,8 @@ def add_shape(
     given: list[Any] = [*(s.samples[: s.n_landmarks] for s in old), [] if landmarks is None else landmarks]
     marks = stages.checked_landmarks(given, everybody, size)[-1]
     shapes = (*old, sample_shape(shape, old[0].basis.n, size, n, marks))
-    stages.refuse_outlier_shapes(shapes)
-    logs = stages.log_spectra(shapes)
-    others = np.sort(np.argsort(np.abs(logs[:-1] - logs[-1]).mean(axis=1), kind="stable")[:neighbours])
+    _, outliers = belonging(shapes, drop=False)
+    others = np.sort(np.argsort(spectral_distances(shapes)[-1, :-1], kind="stable")[:neighbours])
     edges, fixed = np.column_stack([others, np.full(len(others), len(old))]), synced.estimate.absolute[others]
     turn, each = basis_signs(synced.signs[others], n)[:, :, None], stages.parallel(jobs, False)  # (K, n, 1)
     light = [s.light(FINE) for s in shapes]
@@ -85,6 +85,7 @@ def add_shape(
         refined=np.concatenate([synced.refined, refined[None]]),
         map_names=synced.map_names and (*synced.map_names, *(f"{synced.names[k]}–{shape.name}" for k in others)),
         used=np.concatenate([synced.used, before + np.flatnonzero(trusted)]),
+        outliers=tuple(dict.fromkeys([*synced.outliers, *outliers])),
     )
 
 

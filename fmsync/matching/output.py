@@ -66,7 +66,7 @@ def _packed(synced: SyncedShapes) -> dict[str, Any]:
     packed |= {name: getattr(synced.posterior, name) for name in ("energy", "kappa")}
     packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
     packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
-    packed |= {"map_names": np.array(synced.map_names, dtype=str)}
+    packed |= {name: np.array(getattr(synced, name), dtype=str) for name in ("map_names", "outliers")}
     packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion) for m in synced.matches]
     packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
     for k, s in enumerate(synced.shapes):
@@ -100,7 +100,7 @@ def load_synced(folder: str | Path) -> SyncedShapes:
         energy, trusted = data["energy"], trusted_part(problem, estimate, data["used"])
         draws = data["draws"].astype(float).reshape(*energy.shape, *data["absolute"].shape)
         posterior = Posterior(trusted, "heat-bath", draws, energy, data["kappa"], False, {"likelihood": "langevin"})
-        rest = data["refined"], tuple(map(str, data["map_names"])), data["used"]
+        rest = data["refined"], tuple(map(str, data["map_names"])), data["used"], tuple(map(str, data["outliers"]))
         return SyncedShapes(
             tuple(shapes), problem.edges, matches, data["signs"], data["violating"], problem, estimate, posterior, *rest
         )

@@ -12,9 +12,12 @@ _RHAT, _ESS = 1.01, 400
 def quality_flags(synced: SyncedShapes) -> list[str]:
     """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
 
-    Watches the energy and the concentration of the chains, edges that contradict the rest, and symmetries.
+    Watches the energy and the concentration of the chains, edges that contradict the rest, outliers, and symmetries.
     """
     said = []
+    for what, among in (("left out", False), ("doubtful, as are their maps: leave them out", True)):
+        if outliers := [name for name in synced.outliers if (name in synced.names) == among]:
+            said.append(f"Unlike the rest and {what}: {', '.join(outliers)}.")
     if synced.posterior is not None:
         varying = [x for x in (synced.posterior.energy, synced.posterior.kappa) if np.ptp(x) > 0]
         apart = max((diagnostics.rhat(x) for x in varying), default=np.nan)

@@ -24,6 +24,7 @@ from fmsync.matching.confidence import Confidence, confidence
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.network import basis_signs, flipped, posterior_draws, robust_maps, trusted_edges, trusted_part
+from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.problem import SyncProblem
@@ -34,7 +35,6 @@ from fmsync.uncertainty import vertex_images
 
 ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
-_OUTLIER = 0.25  # mean change of log eigenvalues from the median shape
 _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, median over the edges of a shape
 
 
@@ -48,7 +48,8 @@ class SyncedShapes:
     answer, and draws (None if none were asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the
     refined bases to M <= m functions that all shapes share: points are matched by the values of those, and relative
     maps are ``refined[i].T @ refined[j]``. ``used`` (U,) are the edges whose maps carry points: all, or of given maps
-    those of least cost of each pair that are trusted.
+    those of least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the
+    rest, whether they were left out or are among ``shapes``.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -62,6 +63,7 @@ class SyncedShapes:
     refined: np.ndarray
     map_names: tuple[str, ...]
     used: np.ndarray
+    outliers: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -164,6 +166,7 @@ def synchronize_shapes(
     jobs: int = 1,
     checkpoint: str | Path | None = None,
     progress: bool = False,
+    drop_outliers: bool = False,
     rng: int | np.random.Generator = 0,
 ) -> SyncedShapes:
     """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
@@ -171,8 +174,8 @@ def synchronize_shapes(
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
     with inferred concentration; larger maps through functions that all shapes share. A shape in several pieces, inside
-    out, mirrored, or unlike the rest in its spectrum is a ValueError that names it; shapes of equal names become
-    ``name (shape k)``.
+    out or mirrored is a ValueError that names it; shapes of equal names become ``name (shape k)``. Shapes that are
+    unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
@@ -192,6 +195,8 @@ def synchronize_shapes(
     * ``landmarks``: for each shape the same L <= ``n_samples`` vertices in the same order.
     * ``jobs``, ``checkpoint``: processes of the pairwise stage, through joblib and its active backend; folder of pairs
       that are finished. ``progress`` shows a bar for each long stage.
+    * ``drop_outliers``: leave out shapes that do not belong: by their spectra or, for ``n_refined`` >= 50, by how their
+      maps distort.
 
     >>> import data_gen, fmsync
     >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
@@ -212,22 +217,31 @@ def synchronize_shapes(
     pairs = np.array([(g.i, g.j) for g in given]) if given else _checked_graph(graph, len(shapes))
     each = parallel(jobs, progress)
     sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
-    refuse_outlier_shapes(sampled)
+    stay, outliers = belonging(sampled, drop_outliers)
+    sampled = tuple(sampled[k] for k in stay)
+    if not isinstance(pairs, int):
+        kept, pairs = among(stay, pairs)
+        given = tuple(replace(given[g], i=int(i), j=int(j)) for g, (i, j) in zip(kept, pairs)) if given else given
     edges = _neighbours(sampled, pairs) if isinstance(pairs, int) else pairs
     if given:
-        matches = given_matches(given, sampled, bases)
+        matches = given_matches(given, sampled, bases and [bases[k] for k in stay])
     else:
         light = [s.light(FINE) for s in sampled]
         matches = each("pairs", _cached_match, [(light[i], light[j], checkpoint) for i, j in edges])
+        stay, found = belonging(sampled, drop_outliers, edges, matches)
+        sampled, light, outliers = tuple(sampled[k] for k in stay), [light[k] for k in stay], (*outliers, *found)
+        kept, edges = among(stay, edges)
+        matches = [matches[e] for e in kept]
         _refuse_mirrored(sampled, edges, matches)
 
         def proposed(found: list[PairMatch]) -> np.ndarray:
-            estimate, signs, _, _ = robust_maps(len(shapes), edges, found, n_basis, rng)
+            estimate, signs, _, _ = robust_maps(len(sampled), edges, found, n_basis, rng)
             return flipped(estimate.relative(), edges, signs)
 
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
-    return synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
+    synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
+    return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 
 
 @checked(n_draws=">= 0", edges="E 2 < N")
@@ -325,24 +339,6 @@ def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Se
     return each
 
 
-def log_spectra(shapes: Sequence[SampledShape]) -> np.ndarray:
-    """(N, m - 1) logarithms of the eigenvalues, without that of the constant function."""
-    return np.log([s.basis.eigenvalues[1:] for s in shapes])
-
-
-def refuse_outlier_shapes(shapes: Sequence[SampledShape]) -> None:
-    """ValueError that names the shape whose spectrum is far from the rest."""
-    logs = log_spectra(shapes)
-    apart = np.abs(logs - np.median(logs, axis=0)).mean(axis=1)
-    if len(shapes) == 2 and apart.max() > _OUTLIER:
-        names = " and ".join(s.shape.name for s in shapes)
-        raise ValueError(f"{names} differ in spectrum by {2 * apart.max():.0%}: they are not poses of one surface")
-    worst = int(apart.argmax())
-    if len(shapes) > 2 and apart[worst] > max(_OUTLIER, 3 * np.median(apart)):
-        far = f"its spectrum differs by {apart[worst]:.0%} from the median shape, the others by {np.median(apart):.0%}"
-        raise ValueError(f"{shapes[worst].shape.name} is unlike the rest: {far}; leave this likely outlier out")
-
-
 def with_proposals(
     each: Callable[..., list[Any]],
     light: Sequence[SampledShape],
@@ -369,8 +365,7 @@ def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches:
 
 def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
     """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
-    logs = log_spectra(shapes)
-    apart = np.abs(logs[:, None] - logs).mean(axis=2)
+    apart = spectral_distances(shapes)
     nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
     chosen = nx.Graph((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
     tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece

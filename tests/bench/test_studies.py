@@ -2,15 +2,17 @@
 
 import json
 import warnings
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import data_gen
+import fmsync
 from bench import calibration_coverage, prior_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
-from bench.own_shapes import confidence, evaluation, species, stages
+from bench.own_shapes import confidence, evaluation, outliers, species, stages
 
 OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 120, "n_draws": 40}
 
@@ -151,3 +153,34 @@ def test_every_part_of_the_command_writes_its_results(tmp_path, monkeypatch, cat
     found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert found["planted"]["cats"] == 3
     assert found["planted"]["command"] == "python -m bench.own_shapes planted cats"
+
+
+def test_half_a_body_is_a_mesh_in_one_piece(cats):
+    half = outliers.half(cats[0])
+    assert half.area == pytest.approx(cats[0].area / 2, rel=0.3)
+    edges, count = np.unique(fmsync.shape.edges_of_faces(half.faces), axis=0, return_counts=True)
+    assert 1 in count  # a rim
+    assert len(np.unique(edges)) == half.n_vertices
+    assert len(fmsync.laplace_beltrami(half.vertices, half.faces, 10).eigenvalues) == 10  # which refuses pieces
+
+
+def test_rates_of_outliers_are_those_of_the_folders(monkeypatch, tmp_path):
+    """Every folder has six of one kind, a stranger that is found in half of the folders, and a sphere."""
+
+    def planted(number, folder):
+        apart = 0.01 * (1 - np.eye(8))
+        far = apart.copy()
+        far[6, :6] = far[:6, 6] = 0.2 * (number % 2)
+        apart[7, :7] = apart[:7, 7] = 1.0
+        return {"kinds": np.array(["own"] * 6 + ["cat", "sphere"]), "spectra": apart, "both": far[:7, :7]}
+
+    monkeypatch.setattr(outliers, "distances", planted)
+    monkeypatch.setattr(outliers, "shapes_named", partial(outliers.shapes_named, jobs=1))
+    found = outliers.table(tmp_path)
+    assert set(found) == {"development", "test"}
+    test = found["test"]
+    assert test["found"]["mean"] == 0.75
+    assert test["found"]["se"] == pytest.approx(0.25 / np.sqrt(39))
+    assert test["found of cat"] == {"mean": 0.5, "se": pytest.approx(0.5 / np.sqrt(39)), "shapes": 40, "folders": 40}
+    assert test["false alarms"] == {"mean": 0.0, "se": 0.0, "shapes": 240, "folders": 40}
+    assert test["false alarms without outliers"]["shapes"] == 240
