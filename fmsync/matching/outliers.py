@@ -11,6 +11,7 @@ import numpy as np
 from scipy.cluster.hierarchy import average, fcluster
 from scipy.spatial.distance import squareform
 
+from fmsync import checks
 from fmsync.matching.pairwise import FINE, PairMatch
 from fmsync.matching.samples import SampledShape
 
@@ -94,6 +95,6 @@ def sentence(names: Sequence[Sequence[str]]) -> str:
 
 
 def among(stay: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which edges (E, 2) have both ends among the shapes that stay, and these edges with the new numbers."""
+    """Which edges (E, 2) have both ends among the shapes that stay, which they must connect, and in new numbers."""
     keep = np.flatnonzero(np.isin(edges, stay).all(axis=1))
-    return keep, np.searchsorted(stay, edges[keep])
+    return keep, checks.connected_edges(len(stay), np.searchsorted(stay, edges[keep]))

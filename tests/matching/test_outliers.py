@@ -12,6 +12,7 @@ from fmsync.cli import main
 from fmsync.matching import outliers, synchronize
 from fmsync.matching.outliers import OutlierWarning, among, groups
 from fmsync.matching.quality import quality_flags
+from fmsync.matching.samples import sample_shape
 from fmsync.shape import Shape
 from tests.matching.conftest import write_off
 
@@ -20,13 +21,13 @@ FULL = {"n_basis": 10, "n_refined": 50, "n_samples": 300, "n_draws": 0, "rng": 0
 
 @pytest.fixture(scope="module")
 def own():
-    return data_gen.load_collection("creatures", species=3, count=3, n_vertices=1000)
+    return data_gen.load_collection("creatures", species=8, count=3, n_vertices=1000)
 
 
 @pytest.fixture(scope="module")
 def strangers():
-    """Whose spectra are those of other animals, and no further away."""
-    other = data_gen.load_collection("creatures", species=4, count=3, n_vertices=1000)
+    """Another species, whose spectra alone do not tell."""
+    other = data_gen.load_collection("creatures", species=7, count=3, n_vertices=1000)
     return [Shape(s.vertices, s.faces, f"stranger{k}") for k, s in enumerate(other)]
 
 
@@ -42,12 +43,17 @@ def test_planted_groups_are_found_in_any_order(seed):
     apart = np.where(kinds[:, None] == kinds, rng.uniform(0.1, 0.5, (8, 8)), rng.uniform(1.5, 3, (8, 8)))
     found = groups((apart + apart.T) / 2, 1.0)
     assert found == [np.flatnonzero(kinds == k).tolist() for k in range(3)]
-    kept, edges = among(np.array(found[0]), np.array([found[0][:2], [found[0][1], found[1][0]]]))
-    assert kept.tolist() == [0]
-    assert edges.tolist() == [[0, 1]]
+    path = np.column_stack([found[0][:-1], found[0][1:]])
+    kept, edges = among(np.array(found[0]), np.vstack([[found[0][0], found[1][0]], path]))
+    assert kept.tolist() == [1, 2, 3, 4]
+    assert edges.tolist() == [[0, 1], [1, 2], [2, 3], [3, 4]]
+    with pytest.raises(ValueError, match="the graph falls into 2 components"):
+        among(np.array([0, 2, 3]), np.array([[0, 1], [1, 2], [0, 3]]))
 
 
 def test_an_outlier_is_named_or_left_out_as_if_it_had_not_been_given(own, strangers):
+    spectra = outliers.spectral_distances([sample_shape(s, 50, 300) for s in [*own, *strangers]])
+    assert len(groups(spectra, outliers.SPECTRUM)) == 1
     alone = fmsync.synchronize_shapes(own, **FULL)
     assert alone.outliers == ()
     mixed = [own[0], strangers[0], *own[1:]]
