@@ -193,6 +193,7 @@ class Valid:
             "fmsync.so.dist": {"a": rotations, "b": rotations[0]},
             "fmsync.so.random_uniform": {"size": (2, 3)},
             "fmsync.so.frechet_mean": {"rotations": so.exp(0.1 * omega)},
+            "data_gen.collections.front_paw": {"shape": self.shape},
             "fmsync.langevin.matched_kappa": {"cosine": 0.5},
             "fmsync.energy.transposed_sums": {"blocks": c},
             "fmsync.bounds.recovery_cosine": {"n_observations": 3.0},
