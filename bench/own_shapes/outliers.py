@@ -18,7 +18,7 @@ from fmsync.matching.pairwise import FINE, match
 from fmsync.matching.samples import sample_shape
 from fmsync.shape import Shape
 
-DEVELOPMENT, TEST = range(1000, 1012), range(40)
+DEVELOPMENT, TEST = range(1000, 1012), range(32)
 _OPTIONS = {"n_vertices": 1000, "remeshed": True}
 _OTHER = 5000  # numbers of species from one to another
 _SAMPLES = 300  # as many as a match looks at
