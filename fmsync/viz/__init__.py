@@ -11,7 +11,7 @@ from fmsync.colours import colours_from_coordinates  # noqa: E402
 from fmsync.viz.explorer import Explorer, State, explorer, glow  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
 from fmsync.viz.loops import Loop, loop, walk_on_sphere  # noqa: E402
-from fmsync.viz.scenes import Scene, facing, highlighted, scene, smoothed_density  # noqa: E402
+from fmsync.viz.scenes import Scene, facing, scene  # noqa: E402
 
 __all__ = [
     "PALETTE",
@@ -25,11 +25,9 @@ __all__ = [
     "facing",
     "glow",
     "heatmaps",
-    "highlighted",
     "loop",
     "picture",
     "scene",
-    "smoothed_density",
     "style",
     "walk_on_sphere",
 ]

@@ -34,7 +34,7 @@ AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # col
 AXES[:, 0] /= np.linalg.norm(AXES[:, 0])
 AXES[:, 1] = np.cross(_VIEW, AXES[:, 0])
 _TAN = np.tan(np.pi / 12)  # half of 30 degrees, the angle of view that vtk.js always takes
-_GREY, *_REDS = (to_rgb(c) for c in ("#b9c4cf", "#f2992e", "#c1121f"))
+_GREY = to_rgb("#b9c4cf")
 _NO_GL = "Still picture: OpenGL is missing here. For the turnable scene: apt-get install libegl1 libgl1"
 
 # VTK aborts the whole process when it finds no OpenGL, so another process has to try first
@@ -181,36 +181,6 @@ def facing(mesh: Shape, vertex: int) -> Shape:
     turn = np.arctan2(_VIEW[1], _VIEW[0]) - np.arctan2(y, x)
     c, s = np.cos(turn), np.sin(turn)
     return Shape(mesh.vertices @ [[c, s, 0], [-s, c, 0], [0, 0, 1]], mesh.faces, mesh.name)
-
-
-@checked(mesh=_drawable, vertices="K < V")
-def smoothed_density(mesh: Shape, vertices: np.ndarray, width: float = 0.05) -> np.ndarray:
-    """Density (V,) of some vertices for display, relative to its peak: each spreads to those near by a Gaussian.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from types import SimpleNamespace
-    >>> mesh = SimpleNamespace(vertices=np.eye(3), faces=[[0, 1, 2]])
-    >>> smoothed_density(mesh, [0, 0, 1], 0.03).round(2).tolist()
-    [1.0, 0.5, 0.0]
-    """
-    places, counts = np.unique(vertices, return_counts=True)
-    squared = ((mesh.vertices[:, None] - mesh.vertices[places]) ** 2).sum(axis=2)
-    density = np.exp(-squared / (2 * width**2)) @ counts
-    return density / density.max()
-
-
-@checked(values=checks.array)
-def highlighted(values: np.ndarray) -> np.ndarray:
-    """Colours (V, 3) from the grey of a plain shape at 0 to red at 1.
-
-    Examples
-    --------
-    >>> highlighted([0, 1]).round(1).tolist()
-    [[0.7, 0.8, 0.8], [0.8, 0.1, 0.1]]
-    """
-    return np.stack([np.interp(values, [0, 0.5, 1], channel) for channel in zip(_GREY, *_REDS)], axis=-1)
 
 
 def _check(meshes: Sequence[Shape], alt: str, **given: Sequence[object] | None) -> None:
