@@ -271,13 +271,14 @@ class Valid:
             "fmsync.mesh_io.mesh_files": {"paths": [mesh]},
             "fmsync.mesh_io.read_shape": {"path": mesh},
             "fmsync.problem.save_problem": {"path": folder / "again.npz"},
-            "fmsync.viz.explorer.glow": {"images": order[:3]},
+            "fmsync.viz.explorer.glow": {"shape": self.shape, "images": order[:3]},
             "fmsync.viz.figures.heatmaps": {"matrices": [np.eye(3)], "clim": (-1.0, 1.0)},
             "fmsync.viz.figures.picture": {"fig": plt.figure(figsize=(1, 1))},
             "fmsync.viz.loops.loop": {"figures": self.figures()},
             "fmsync.viz.loops.walk_on_sphere": {
                 "points": np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "frames": 2,
             },
+            "fmsync.viz.scenes.facing": {"mesh": self.shape, "vertex": 0},
             "fmsync.viz.scenes.scene": {
                 "meshes": [self.shape], "scalars": [self.shape.vertices[:, 0]], "clim": (0.0, 1.0),
                 "points": [order[:2]],
