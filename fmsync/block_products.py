@@ -9,8 +9,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.cgutils import ir  # type: ignore[attr-defined]  # the llvmlite that Numba was built with
 from numba.extending import intrinsic
 
 _BITS, _TILE_ROWS, _TILE_VECTORS = 256, 4, 3  # twelve sums, in the sixteen vector registers of AVX2
