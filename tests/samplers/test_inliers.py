@@ -76,6 +76,14 @@ def test_inlier_probabilities_are_calibrated():
     assert np.abs(calibrated(*inlier_probabilities(50))).max() < 4.5
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(reason="short chains stay where two wrong maps of a node agree: 6 standard errors in 400 problems")
+def test_inlier_probabilities_are_calibrated_in_full():
+    weights, sound = inlier_probabilities(1200)
+    assert np.abs(calibrated(weights, sound)).max() < 4.5
+    assert np.abs(calibrated(weights**2, sound)).max() > 10  # wrong ones are seen
+
+
 def at_thirty_percent(n_problems):
     """Levels (P, E) of the balls that just hold the truth, N = 8 and n = 3, and whether the sampler and others err."""
     levels, wrong = [], {"sampler": [], "robust": []}
