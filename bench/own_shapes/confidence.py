@@ -57,9 +57,12 @@ def collections(loaded: dict[str, list[Shape]], **options) -> dict:
     return found
 
 
-def observe(shapes: list[Shape], levels: tuple[float, ...] = LEVELS, **options) -> Observed:
+def observe(
+    shapes: list[Shape], levels: tuple[float, ...] = LEVELS, vertices: np.ndarray | None = None, **options
+) -> Observed:
     """Run the pipeline on shapes of one order, or on creatures, and see; radii of the draws at these levels and 0.9."""
-    synced, vertices = fmsync.synchronize_shapes(shapes, rng=0, **options), evaluation_vertices(shapes)
+    synced = fmsync.synchronize_shapes(shapes, rng=0, **options)
+    vertices = evaluation_vertices(shapes) if vertices is None else vertices
     evaluation, pairs = Evaluation(synced.shapes, vertices), some_pairs(len(shapes), 16)
     at_samples = {q: [synced.confidence(i, j, q) for i, j in pairs] for q in {*levels, 0.9}}
     radii = {q: [evaluation.at(i, k.radius) for (i, _), k in zip(pairs, known)] for q, known in at_samples.items()}

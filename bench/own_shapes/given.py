@@ -35,7 +35,7 @@ def table(loaded: dict[str, list[Shape]], numbers: Iterable[int] = SPECIES) -> d
 
 def starts(shapes: list[Shape], vertices: np.ndarray) -> dict[str, dict]:
     """One collection: every kind of given map, before and after synchronisation."""
-    rng, evaluation = np.random.default_rng(0), None
+    rng = np.random.default_rng(0)
     meshes = [adapters.to_pyfm(shape).process() for shape in shapes]
     bases = [adapters.from_pyfm(mesh)[1] for mesh in meshes]
     pairs = [(i, j) for i in range(len(shapes)) for j in range(i)]
@@ -57,11 +57,19 @@ def starts(shapes: list[Shape], vertices: np.ndarray) -> dict[str, dict]:
         named = dict(zip(pairs, maps))
         options = {} if np.ndim(maps[0]) == 1 or sp.issparse(maps[0]) else {"bases": bases}
         with diagnostics.short_run():  # scores do not depend on draws
-            seen = observe(shapes, levels=(), maps=named, n_basis=_N_BASIS, n_refined=_N_REFINED, n_draws=40, **options)
-        evaluation = evaluation or Evaluation(seen.synced.shapes, vertices)
-        before = [_error(evaluation, bases, pair, c) for pair, c in named.items()]
-        refined_maps = seen.synced.refined
-        after = [float(evaluation.errors(i, j, refined_maps[i], refined_maps[j]).mean()) for i, j in pairs]
+            seen = observe(
+                shapes,
+                levels=(),
+                vertices=vertices,
+                maps=named,
+                n_basis=_N_BASIS,
+                n_refined=_N_REFINED,
+                n_draws=40,
+                **options,
+            )
+        before = [_error(seen.evaluation, bases, pair, c) for pair, c in named.items()]
+        y = seen.synced.refined
+        after = [float(seen.evaluation.errors(i, j, y[i], y[j]).mean()) for i, j in pairs]
         found[name] = {"before": float(np.mean(before)), "after": float(np.mean(after))}
         found[name]["coverage of 90 %"] = seen.covered(default_calibration())["0.9"]
         if wrong is not None:
