@@ -51,11 +51,11 @@ def add_products(
     fixed = [np.ascontiguousarray(a).view() for a in (to, left, first, transposed, right, second, weights)]
     for a in fixed:
         a.setflags(write=False)  # one compiled signature a precision, whoever owns the arrays
-    _add_products(out, *fixed)
+    add_products_unchecked(out, *fixed)
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_products(
+def add_products_unchecked(
     out: np.ndarray,
     to: np.ndarray,
     left: np.ndarray,

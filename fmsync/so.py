@@ -119,7 +119,7 @@ def log(r: np.ndarray) -> np.ndarray:
     for first in range(0, len(flat), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         omega[part], near[part] = _log_series(flat[part])
-    omega[~near] = _log_eigen(flat[~near])
+    omega[~near] = log_eigen_unchecked(flat[~near])
     return omega.reshape(r.shape)
 
 
@@ -142,7 +142,7 @@ def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return skew(products(total, skew(r))), near
 
 
-def _log_eigen(flat: np.ndarray) -> np.ndarray:
+def log_eigen_unchecked(flat: np.ndarray) -> np.ndarray:
     """Logarithms (B, n, n) from eigenvectors of the symmetric parts, or the Schur form where they are too rough."""
     skewed = skew(flat)
     cosine, v = np.linalg.eigh(sym(flat))
