@@ -65,6 +65,7 @@ def add_products_unchecked(
     second: np.ndarray,
     weights: np.ndarray,
 ) -> None:
+    """:func:`add_products` of arrays of one precision, all C-contiguous, with ``weights`` (T,)."""
     rows, columns, inner = out.shape[1], out.shape[2], right.shape[1]
     c, a, b = out.reshape(-1), left.reshape(-1), right.reshape(-1)
     for t in range(len(to)):

@@ -8,9 +8,9 @@ from fmsync import block_products
 
 def test_rows_are_complete_and_the_kernel_is_put_back(monkeypatch):
     monkeypatch.setattr(speed, "RUNS", 2)
-    kernel, p = block_products._add_products, speed.problem(60)
+    kernel, p = block_products.add_products_unchecked, speed.problem(60)
     row = speed.solves(p)
-    assert block_products._add_products is kernel
+    assert block_products.add_products_unchecked is kernel
     assert row["n_edges"] == 600
     assert 0 < row["limit"] < 10 * row["seconds"]
     assert 0 < row["memory"] < 3
