@@ -402,11 +402,12 @@ def test_scenes_draw_and_turn_when_dragged(opened, name):
     stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
     before = _settled(page, stage)
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 50, "blank scene"
-    drag(page, stage)
-    for _ in range(100):  # a busy machine answers late
-        if np.abs(_picture(stage) - before).mean() > 1:
-            return
-        page.wait_for_timeout(100)
+    for _ in range(5):  # a busy machine may lose a drag, or answer late
+        drag(page, stage)
+        for _ in range(20):
+            if np.abs(_picture(stage) - before).mean() > 1:
+                return
+            page.wait_for_timeout(100)
     pytest.fail("the scene did not turn")
 
 
