@@ -12,6 +12,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def solves(p: fmsync.SyncProblem) -> dict[str, float]:
     """Seconds of ``"mle"``, of large products of as many operations, and its memory over that of the observations."""
     times, done, square = [seconds(lambda: fmsync.solve(p)) for _ in range(RUNS)], [], np.ones((1000, 1000))
 
-    def watch(frame, event, argument) -> None:
+    def watch(frame: FrameType, event: str, argument: object) -> None:
         if event == "call" and frame.f_code is add_products.__code__:
             done.append(len(frame.f_locals["to"]))
 

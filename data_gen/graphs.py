@@ -3,10 +3,10 @@
 import networkx as nx
 import numpy as np
 
-from fmsync.checks import checked
+from fmsync import checks
 
 
-@checked(n_nodes=">= 2")
+@checks.checked(n_nodes=">= 2")
 def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Generator = 0) -> nx.Graph:
     r"""Connected graph with ``round(density * N (N - 1) / 2)`` edges: a random labelled tree plus random other pairs.
 
@@ -40,7 +40,7 @@ def random_graph(n_nodes: int, density: float = 1.0, rng: int | np.random.Genera
     return graph
 
 
-@checked()
+@checks.checked()
 def graph_edges(graph: nx.Graph) -> np.ndarray:
     """Edges (E, 2) of a graph on nodes 0..N-1, each as (i, j) with i < j, in lexicographic order.
 

@@ -223,8 +223,7 @@ class Valid:
             },
             "fmsync.shape.Basis.coefficients": {"functions": rng.random((n_vertices, 2))},
             "fmsync.shape.Basis.with_flipped": {"k": 2},
-            "fmsync.uncertainty.vertex_images": {"relative_draws": rng.random((6, 5, 5)), "vertex": 3},
-            "fmsync.uncertainty.image_density": {"images": order[:5], "n_vertices": n_vertices},
+            "fmsync.functional_maps.vertex_images": {"relative_draws": rng.random((6, 5, 5)), "vertex": 3},
             "fmsync.problem.LangevinPrior": {"mean": c, "kappa": np.ones(4)},
             "fmsync.problem.fix_gauge": {"node": 1},
             "fmsync.estimators.rectangular.RectangularSyncProblem": {

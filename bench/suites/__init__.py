@@ -11,8 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from bench import methods
-from bench.cache import key_of
-from bench.code import code_hash, data_hash
+from bench.cache import code_hash, data_hash, key_of
 from fmsync.registry import near_names
 
 _FOLDER = Path(__file__).parent

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
@@ -15,7 +14,7 @@ from fmsync.threads import single_threaded_blas
 _FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
-@checked()
+@checks.checked()
 def solve(
     problem: SyncProblem,
     method: str = "mle",
@@ -83,7 +82,7 @@ def best_of_starts(
     return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
-@checked()
+@checks.checked()
 def mean_of_starts(
     problem: SyncProblem,
     n_starts: int = 10,

@@ -6,7 +6,6 @@ import numpy as np
 
 from fmsync import checks
 from fmsync.block_krylov import block_lanczos, orthonormal_rows
-from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
@@ -23,7 +22,7 @@ _LOOSE = 1e-3  # fraction of the gradient that a relaxation may leave: its answe
 
 
 @estimator("staircase")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def staircase(
     problem: SyncProblem,
     *,
