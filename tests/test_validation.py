@@ -25,7 +25,7 @@ from fmsync.matching.samples import SampledShape
 from tests.surfaces import icosphere
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = """so langevin energy bounds calibration diagnostics oracle functional_maps descriptors shape uncertainty
+MODULES = """so langevin energy bounds calibration diagnostics oracle functional_maps descriptors shape
     problem estimators samplers matching mesh_io viz""".split()  # noqa: SIM905
 SLOW = 2.0  # seconds, of one call
 
