@@ -69,25 +69,19 @@ def perturb(
         "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
         "versions": dict(_VERSIONS),
     }
-    edges, maps, replaced = _observed(truth, disturb, generator, record)
-    record["outlier_edges"] = replaced.tolist()
-    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
-
-
-def _observed(truth: GroundTruth, disturb: Callable, generator: np.random.Generator, options: dict) -> tuple:
-    """Edges, noisy maps, and which of them are outliers."""
-    edges, maps = truth.edges, truth.maps if options["around"] == "consistent" else truth.measured_maps
-    if options["two_way"]:
+    edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
+    if two_way:
         edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
-    edges, maps = np.tile(edges, (options["repeats"], 1)), np.tile(maps, (options["repeats"], 1, 1))
-    replaced = np.sort(generator.permutation(len(edges))[: round(options["outliers"] * len(edges))])
-    if options["outlier_kind"] == "flip" and len(replaced):
+    edges, maps = np.tile(edges, (repeats, 1)), np.tile(maps, (repeats, 1, 1))
+    replaced = np.sort(generator.permutation(len(edges))[: round(outliers * len(edges))])
+    if record["outlier_kind"] == "flip" and len(replaced):
         i, j = edges[replaced].T
         maps[replaced] = so.project(so.transpose(truth.absolute[i]) @ truth.flip @ truth.absolute[j])
     maps = disturb(maps, generator)
-    if options["outlier_kind"] == "haar":
+    if record["outlier_kind"] == "haar":
         maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
-    return edges, maps, replaced
+    record["outlier_edges"] = replaced.tolist()
+    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
 
 
 def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:

@@ -210,7 +210,8 @@ def solve_rectangular(
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
         warnings.warn(message, RuntimeWarning, stacklevel=3)
-    gauge = _basis(absolute[0][:, : problem.sizes[0]])
+    first = absolute[0][:, : problem.sizes[0]]
+    gauge = np.concatenate([first, np.linalg.svd(first)[0][:, first.shape[1] :]], axis=1)  # (m, m) orthogonal
     frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
     return RectangularEstimate(problem, frames, float(trace.cost[-1]), converged, trace)
 
@@ -306,9 +307,3 @@ def _orthonormal(block: np.ndarray) -> np.ndarray:
     """The nearest matrix with orthonormal columns."""
     u, _, vt = np.linalg.svd(block, full_matrices=False)
     return u @ vt
-
-
-def _basis(frame: np.ndarray) -> np.ndarray:
-    """(m, m) orthogonal matrix whose first columns are the frame."""
-    u, _, _ = np.linalg.svd(frame)
-    return np.concatenate([frame, u[:, frame.shape[1] :]], axis=1)

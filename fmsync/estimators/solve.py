@@ -71,7 +71,6 @@ def best_of_starts(
 
     Its ``n_agreeing`` starts came to its cost up to one part in a million: that all agree suggests a global optimum.
     """
-    checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
     answers = [
         solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))
@@ -79,7 +78,7 @@ def best_of_starts(
     ]
     best = min(answers, key=lambda answer: answer.cost)
     slack = 1e-6 * max(1.0, abs(best.cost))
-    return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
+    return replace(best, n_starts=restarts, n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
 @checks.checked()
