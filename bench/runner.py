@@ -60,15 +60,16 @@ def run_suite(
             for future in as_completed(futures):
                 run = futures[future]
                 done[run.key] = _record(future, run, commit)
-                cache.write(run.key, done[run.key])
+                try:
+                    cache.write(run.key, done[run.key])
+                except OSError as error:
+                    message = f"{cache.folder}: cannot write ({error}); finished runs are kept, make room and run again"
+                    raise ValueError(message) from error
                 on_record(run, done[run.key])
-        except BaseException as error:
+        except BaseException:
             for future in futures:
                 future.cancel()
             end_workers()
-            if isinstance(error, OSError):
-                message = f"{cache.folder}: cannot write ({error}); finished runs are kept, make room and run again"
-                raise ValueError(message) from error
             raise
     return Outcome(tuple({**done[run.key], "label": run.label} for run in runs), n_cached, tuple(corrupt.values()))
 
