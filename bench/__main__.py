@@ -6,6 +6,7 @@ import os
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 from tqdm import tqdm
@@ -37,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description="Run and compare benchmark suites.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def command(run, text: str, *examples: str) -> argparse.ArgumentParser:
+    def command(run: Callable[..., int], text: str, *examples: str) -> argparse.ArgumentParser:
         name, layout = run.__name__.strip("_"), argparse.RawDescriptionHelpFormatter
         told = "\n".join(["example:", *(f"  python -m bench {name}{example}" for example in examples)])
         made = commands.add_parser(name, help=text, description=text, epilog=told, formatter_class=layout)
@@ -97,7 +98,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if n_cached:
             print(f"{n_cached} runs are finished already, {n_left} are left")
 
-    def on_record(run, record: dict) -> None:
+    def on_record(run: object, record: dict) -> None:
         bar.update()
         if bar.disable:
             print(f"{next(number)}/{bar.total} {record['status']} {record['wall']:.2f} s {run}", flush=True)

@@ -18,7 +18,6 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from bench import methods
@@ -32,6 +31,7 @@ from fmsync.threads import single_threaded_blas
 
 _ROUNDING = 1e-13  # maps and bases of shapes differ by up to 4e-13 between two kinds of arithmetic
 _SERVE = [sys.executable, "-c", "from bench.execute import serve; serve()"]
+_ENVIRONMENT = {"TQDM_DISABLE": "1", "NUMBA_NUM_THREADS": "1"}  # other runs want the other cores
 _WORKERS: set[subprocess.Popen] = set()  # all of this process ...
 _IDLE: list[subprocess.Popen] = []  # ... and those without a run
 
@@ -46,7 +46,7 @@ def isolated(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
         worker = _IDLE.pop()
     except IndexError:
         path = os.pathsep.join(filter(None, sys.path))
-        environment = {**os.environ, "PYTHONPATH": path, "TQDM_DISABLE": "1"}
+        environment = {**os.environ, "PYTHONPATH": path, **_ENVIRONMENT}
         worker = subprocess.Popen(_SERVE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         _WORKERS.add(worker)
     try:
@@ -80,12 +80,12 @@ def serve() -> None:
     with contextlib.suppress(EOFError):
         while True:
             run, commit, replica = pickle.load(sys.stdin.buffer)
-            pickle.dump(execute(run, commit, replica, limited=True), records)
+            pickle.dump(execute(run, commit, replica), records)
             records.flush()
 
 
-def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limited: bool = False) -> dict:
-    """Make the problem, run the method (within the limits of the run, see :func:`process_limits`), measure the answer.
+def execute(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
+    """Make the problem, run the method within its limits (see :func:`process_limits`), measure the answer.
 
     Replica 0 belongs into a table. Replica k >= 1 shows how much the answer varies: a sampler draws other random
     numbers; any other method keeps them and gets observed maps, and bases, whose entries are moved by about 1e-13, as
@@ -97,14 +97,14 @@ def execute(run: Run, commit: str = "unknown", replica: int = 0, *, limited: boo
     try:
         importlib.import_module(run.module) if run.file is None else methods.load(run.file)
         method = methods.get(run.method)
-        with warnings.catch_warnings(record=True) as caught, _one_thread():
+        with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
             warnings.simplefilter("always")
             planted = _problem(run.generator, tuple(run.problem.items()), run.seed, run.content["data"])
             planted, rng = _replicated(planted, run.seed, method.kind, replica)
             _warm(run.method, json.dumps(run.options))
             before = _peak(forget=True)
             began, cpu = time.perf_counter(), time.process_time()
-            with process_limits(run) if limited else contextlib.nullcontext():
+            with process_limits(run):
                 answer = method.run(planted, rng, run.options)
             spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
             if replica and method.kind == "sampler":
@@ -173,17 +173,6 @@ def _warm(name: str, options: str) -> None:
     quick = {"n_draws": 20, "warmup": 10, "thin": 1} if method.kind == "sampler" else {}
     with contextlib.suppress(Exception):  # what is wrong will show on the real problem
         method.run(toy, np.random.default_rng(0), {**json.loads(options), **quick})
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread for BLAS, and one for samplers that share their work out: other runs want the other cores."""
-    many, numba.config.NUMBA_NUM_THREADS = numba.config.NUMBA_NUM_THREADS, 1
-    try:
-        with single_threaded_blas():
-            yield
-    finally:
-        numba.config.NUMBA_NUM_THREADS = many
 
 
 def _peak(*, forget: bool = False) -> float:

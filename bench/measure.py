@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench import metrics
+from bench.methods import Answer
 from bench.planted import Planted
 from fmsync import calibration, oracle
 from fmsync.functional_maps import point_map
@@ -20,7 +21,7 @@ def method_rng(seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, 0x6D6574686F64])
 
 
-def measure(planted: Planted, answer) -> list[list]:
+def measure(planted: Planted, answer: Answer) -> list[list]:
     """All metrics that make sense here, as rows (name, at, value); ``at`` is the abscissa of curves, else None."""
     edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
     pairs = planted.pairs()

@@ -23,7 +23,8 @@ def relative_performance(frame: pd.DataFrame) -> pd.DataFrame:
     rows = board[board.error > 0]
     over = np.log(rows.error / rows.groupby("problem").error.transform("min")).groupby(rows.label)
     table = np.exp(over.agg(ratio="mean", low="min", high="max"))
-    table["file"] = frame.drop_duplicates("label").set_index("label").method.map(_file)
+    modules = frame.drop_duplicates("label").set_index("label").method.map(lambda name: methods.get(name).module)
+    table["file"] = modules.str.replace(".", "/") + ".py"
     return table.sort_values("ratio").reset_index()
 
 
@@ -41,7 +42,3 @@ def as_list(table: pd.DataFrame, title: str, most: float = 10.0) -> str:
             f"<code>{row.file}</code>; {row.low:.2f} to {row.high:.2f} on single problems.</p></details>"
         )
     return f'<div class="fm-performances"><p><strong>{html.escape(title)}</strong></p>{"".join(rows)}</div>'
-
-
-def _file(method: str) -> str:
-    return f"{methods.get(method).module.replace('.', '/')}.py"

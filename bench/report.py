@@ -108,7 +108,11 @@ def bracketed(table: pd.DataFrame) -> pd.Series:
 
 def report(frame: pd.DataFrame) -> str:
     """The tables of a suite as text."""
-    lines = [_made_by(frame)]
+    seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
+    told = [f"suite {frame.suite.iloc[0]}: {seeds.sum()} runs, {seeds.min()} to {seeds.max()} seeds"]
+    for name, label in (("commit", "commit "), ("machine", "machine "), ("versions", "")):
+        told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
+    lines = ["\n".join(told)]
     if _is_paper(frame):
         lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
     else:
@@ -164,14 +168,6 @@ def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
     wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
     legend = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
     return f"{variant_name(**variant)}\n{legend}threshold; (bound) = errors are too large for it\n{wide.to_string()}"
-
-
-def _made_by(frame: pd.DataFrame) -> str:
-    seeds = frame.drop_duplicates(["generator", "problem", "label", "seed"]).groupby(["problem", "label"]).size()
-    told = [f"suite {frame.suite.iloc[0]}: {seeds.sum()} runs, {seeds.min()} to {seeds.max()} seeds"]
-    for name, label in (("commit", "commit "), ("machine", "machine "), ("versions", "")):
-        told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
-    return "\n".join(told)
 
 
 def _named(problem: str) -> str:

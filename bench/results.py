@@ -22,7 +22,7 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     """A row for every number of every run; failed runs have one row, of no metric.
 
     Columns: what the run is, metric, at, value, unit, direction, and where the number comes from: commit, machine,
-    versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (:func:`bench.code.code_hash`). The last two are
+    versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (:func:`bench.cache.code_hash`). The last two are
     None for runs that finished before they were recorded.
 
     >>> record = {"generator": "g", "problem": {"n": 3}, "seed": 0, "label": "a", "method": "a", "options": {},

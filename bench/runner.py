@@ -53,33 +53,25 @@ def run_suite(
             waiting[run.key] = run
     n_cached = len(done.keys() - waiting.keys())
     on_start(n_cached, len(waiting))
-    with contextlib.closing(_executed(list(waiting.values()), n_jobs, scheduler)) as executed:
-        for run, record in executed:
-            try:
-                cache.write(run.key, record)
-            except OSError as error:
-                message = f"{cache.folder}: cannot write ({error}); finished runs are kept, make room and run again"
-                raise ValueError(message) from error
-            done[run.key] = record
-            on_record(run, record)
-    return Outcome(tuple({**done[run.key], "label": run.label} for run in runs), n_cached, tuple(corrupt.values()))
-
-
-def _executed(runs: Sequence[Run], n_jobs: int, scheduler: str | None) -> Iterator[tuple[Run, dict]]:
-    """Runs and their records as they end; whoever stops listening ends those under way."""
-    if not runs:
-        return
     commit = current_commit()
-    with _executor(n_jobs, scheduler) as executor:
-        futures = {executor.submit(isolated, run, commit): run for run in runs}
+    with _executor(n_jobs, scheduler) if waiting else contextlib.nullcontext() as executor:
+        futures = {executor.submit(isolated, run, commit): run for run in waiting.values()}
         try:
             for future in as_completed(futures):
-                yield futures[future], _record(future, futures[future], commit)
+                run = futures[future]
+                done[run.key] = _record(future, run, commit)
+                try:
+                    cache.write(run.key, done[run.key])
+                except OSError as error:
+                    message = f"{cache.folder}: cannot write ({error}); finished runs are kept, make room and run again"
+                    raise ValueError(message) from error
+                on_record(run, done[run.key])
         except BaseException:
             for future in futures:
                 future.cancel()
             end_workers()
             raise
+    return Outcome(tuple({**done[run.key], "label": run.label} for run in runs), n_cached, tuple(corrupt.values()))
 
 
 def _record(future, run: Run, commit: str) -> dict:

@@ -12,6 +12,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -20,13 +21,15 @@ import data_gen
 import fmsync
 from bench.provenance import versions
 from bench.studies import add_part
-from fmsync import block_products, so
+from fmsync import so
+from fmsync.block_products import add_products
 from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.samplers.base import Target
 from fmsync.samplers.rlfm import RLFM
 from fmsync.threads import single_threaded_blas
 
 SIZES, N, DEGREE, SIGMA2, RUNS = (300, 1000, 3000, 10000), 20, 20, 0.1, 5
+_PRECISIONS = ("float64", "float32")
 _PLAIN = (
     "import time, numpy, scipy.linalg, scipy.sparse.csgraph, scipy.special; t = time.process_time(); import fmsync; "
 )
@@ -60,7 +63,7 @@ def problem(n_nodes: int, noise: int = 2) -> fmsync.SyncProblem:
     return data_gen.perturb(data_gen.planted(n_nodes, N, graph, rng=1), SIGMA2, noise)
 
 
-def neighbour_sums(p: fmsync.SyncProblem, dtype: type) -> dict[str, float]:
+def neighbour_sums(p: fmsync.SyncProblem, dtype: np.dtype) -> dict[str, float]:
     """Rates of sums over neighbours, of NumPy's batched products, and of one large product, in GFlop/s."""
     maps, blocks = p.maps.astype(dtype), so.random_uniform(N, p.n_nodes, 1).astype(dtype)
     square, flops, large = np.ones((1000, 1000), dtype), 4 * p.n_edges * N**3 / 1e9, 2.0
@@ -83,19 +86,18 @@ def neighbour_sums(p: fmsync.SyncProblem, dtype: type) -> dict[str, float]:
 
 def solves(p: fmsync.SyncProblem) -> dict[str, float]:
     """Seconds of ``"mle"``, of large products of as many operations, and its memory over that of the observations."""
-    done, kernel = [0], block_products.add_products_unchecked
-    times = []
-    for _ in range(RUNS):
-        times.append(seconds(lambda: fmsync.solve(p)))
-    block_products.add_products_unchecked = lambda out, to, *rest: (done.append(len(to)), kernel(out, to, *rest))
-    tracemalloc.start()
+    times, done, square = [seconds(lambda: fmsync.solve(p)) for _ in range(RUNS)], [], np.ones((1000, 1000))
+
+    def watch(frame: FrameType, event: str, argument: object) -> None:
+        if event == "call" and frame.f_code is add_products.__code__:
+            done.append(len(frame.f_locals["to"]))
+
+    tracemalloc.start(), sys.setprofile(watch)
     try:
         fmsync.solve(p)
         memory = tracemalloc.get_traced_memory()[1] / p.maps.nbytes
     finally:
-        tracemalloc.stop()
-        block_products.add_products_unchecked = kernel
-    square = np.ones((1000, 1000))
+        tracemalloc.stop(), sys.setprofile(None)
     large = np.median([seconds(lambda: square @ square) for _ in range(RUNS)])
     low, middle, high = np.quantile(times, [0.25, 0.5, 0.75])
     found = {"n_nodes": p.n_nodes, "n_edges": p.n_edges, "seconds": middle, "low": low, "high": high}
@@ -144,21 +146,15 @@ def main() -> None:
     turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
     with single_threaded_blas():
         found = {
-            "sums": {
-                kind.__name__: neighbour_sums(problem(min(3000, largest)), kind) for kind in (np.float64, np.float32)
-            },
+            "sums": {kind: neighbour_sums(problem(min(3000, largest)), np.dtype(kind)) for kind in _PRECISIONS},
             "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
             "warm": warm(middle, problem(1000, noise=3)),
             "steps": steps(),
             "mean": paired(lambda: so.frechet_mean(turns), lambda: so.log_eigen_unchecked(turns)),
             "solves": [solves(problem(size)) for size in SIZES if size <= largest],
         }
-    add_part(
-        Path("results/speed.json"),
-        "speed",
-        {"versions": versions(), **found, "first": first_calls()},
-        "python -m bench.speed",
-    )
+    found |= {"versions": versions(), "first": first_calls()}
+    add_part(Path("results/speed.json"), "speed", found, "python -m bench.speed")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ import argparse
 import csv
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -48,6 +48,12 @@ def coverage(rows: pd.DataFrame, columns: Mapping[float, str]) -> dict[str, floa
     for q, name in columns.items():
         found |= {f"{q:g}": rows[name].mean(), f"se {q:g}": rows[name].std(ddof=1) / len(rows) ** 0.5}
     return found
+
+
+def kept_results(work: Callable[[int], object], numbers: Iterable[int], folder: Path, jobs: int = 2) -> list:
+    """``work(number)`` of all numbers, from ``folder`` what was made there before by the same code of ``work``."""
+    kept = joblib.Memory(folder, verbose=0).cache(work)
+    return joblib.Parallel(jobs)(joblib.delayed(kept)(k) for k in numbers)
 
 
 def fill(

@@ -25,7 +25,7 @@ import pandas as pd
 from scipy import stats
 
 from bench import methods
-from bench.code import data_hash
+from bench.cache import data_hash
 from bench.execute import isolated
 from bench.metrics import METRICS, STANDARD_ERRORS, Metric
 from bench.provenance import machine, versions

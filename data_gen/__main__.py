@@ -19,24 +19,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("collection", help="'cats', a folder, or a folder inside FMSYNC_DATA")
     options = parser.parse_args(arguments)
     try:
-        if options.command == "verify":
-            return _verify(options.collection)
-        print(json.dumps(collection_report(load_collection(options.collection))))
-        return 0
+        if options.command == "report":
+            print(json.dumps(collection_report(load_collection(options.collection))))
+            return 0
+        table, name = known_collections(), options.collection.rstrip("/").rpartition("/")[2]
+        if name not in table:
+            raise ValueError(f"{name}: no fingerprints known; known are {', '.join(table)}")
+        verdicts = verify(load_collection(options.collection), table[name])
+        for shape, verdict in verdicts.items():
+            print(f"{shape}: {verdict}")
+        return 0 if set(verdicts.values()) == {"ok"} else 1
     except (ValueError, MissingExtra) as error:
         print(error, file=sys.stderr)
         return 1
-
-
-def _verify(collection: str) -> int:
-    table = known_collections()
-    name = collection.rstrip("/").rpartition("/")[2]
-    if name not in table:
-        raise ValueError(f"{name}: no fingerprints known; known are {', '.join(table)}")
-    verdicts = verify(load_collection(collection), table[name])
-    for shape, verdict in verdicts.items():
-        print(f"{shape}: {verdict}")
-    return 0 if set(verdicts.values()) == {"ok"} else 1
 
 
 if __name__ == "__main__":

@@ -8,8 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-Pose = Mapping[str, tuple[float, float, float]]  # of joints: (roll, pitch, yaw) in degrees
+Triple = tuple[float, float, float]
+Pose = Mapping[str, Triple]  # of joints: (roll, pitch, yaw) in degrees
 
 THIN = 0.028  # smallest radius: what a mesh of 1000 vertices still resolves
 _FAR = 0.5  # a distance at which flesh is not felt
@@ -21,7 +23,7 @@ class Bone:
 
     name: str
     parent: str | None
-    joint: tuple[float, float, float]
+    joint: Triple
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,11 @@ class Cone:
     """A round cone from ``start`` to ``end``, carried by ``bone``; ``scale`` widens it along x, y, z."""
 
     bone: str
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
+    start: Triple
+    end: Triple
     radius_start: float
     radius_end: float
-    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    scale: Triple = (1.0, 1.0, 1.0)
 
 
 def cone_distance(points: np.ndarray, cone: Cone) -> np.ndarray:
@@ -97,7 +99,17 @@ class Body:
         """Joint angles drawn evenly within a share ``ease`` of what the joints allow."""
         return {name: ease * rng.uniform(low, high) for name, (low, high) in self.turns.items()}
 
-    def chain(self, name, parent, start, directions, lengths, radii, turns, scale=(1.0, 1.0, 1.0)):
+    def chain(
+        self,
+        name: str,
+        parent: str | None,
+        start: np.ndarray,
+        directions: Sequence[np.ndarray],
+        lengths: Sequence[float],
+        radii: ArrayLike,
+        turns: ArrayLike,
+        scale: Triple = (1.0, 1.0, 1.0),
+    ) -> np.ndarray:
         """A row of bones ``name0``, ``name1``, ... in flesh with K + 1 radii; their ends (K + 1, 3).
 
         ``turns`` holds for each bone (or for all) half the range of roll, pitch and yaw and the middle of the pitch.
@@ -111,7 +123,7 @@ class Body:
         self.flesh([f"{name}{k}" for k in range(len(lengths))], points, radii, scale)
         return points
 
-    def flesh(self, owners: Sequence[str], points, radii, scale=(1.0, 1.0, 1.0)):
+    def flesh(self, owners: Sequence[str], points: np.ndarray, radii: Sequence[float], scale: Triple = (1.0, 1.0, 1.0)):
         """One part: a row of cones through points (K + 1, 3), carried by K bones."""
         ends = zip(owners, points[:-1], points[1:], radii[:-1], radii[1:])
         self.parts.append([Cone(owner, tuple(a), tuple(b), r, s, scale) for owner, a, b, r, s in ends])

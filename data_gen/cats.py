@@ -11,7 +11,7 @@ from data_gen.cache import cached, recipe
 from data_gen.cat_body import cat_body
 from data_gen.cat_pose import POSES, Rig, muscle_tone
 from data_gen.mesher import check_resolution, half_skin, is_sphere, mirrored_mesh, onto_skin, refined, skin_gradient
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.shape import Shape
 
 _MODULES = ("body", "cat_body", "cat_pose", "cats", "mesher", "self_intersection")
@@ -24,7 +24,7 @@ _EASE = 0.96  # share of the joint angles that is kept from one try to the next
 _DRAWS = 30  # tries to find a pose that does not pass through itself
 
 
-@checked(seed=">= 0")
+@checks.checked(seed=">= 0")
 def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool = False) -> list[Shape]:
     """Poses of the synthetic cat, the same for the same arguments, bit by bit.
 
@@ -43,7 +43,7 @@ def cats(count: int = 11, n_vertices: int = 5000, seed: int = 0, symmetric: bool
     return [Shape(vertices, made["faces"], f"cat{k}") for k, vertices in enumerate(made["vertices"])]
 
 
-@checked()
+@checks.checked()
 def left_right_flip(n_vertices: int = 5000) -> np.ndarray:
     """The vertex opposite to each vertex (V,) on the cats of ``load_collection("cats", n_vertices=...)``.
 
@@ -103,12 +103,8 @@ def _candidates(k: int, rng) -> Iterable[Pose]:
             pose, spread = named[k], _JITTER
         else:
             first, second = (named[index] for index in rng.choice(len(named), 2, replace=False))
-            pose, spread = _between(first, second, rng.uniform(0.25, 0.75)), 3 * _JITTER
+            pose, spread, share, still = {}, 3 * _JITTER, rng.uniform(0.25, 0.75), np.zeros(3)
+            for joint in sorted({*first, *second}):
+                a, b = (np.array(end.get(joint, still)) for end in (first, second))
+                pose[joint] = (1 - share) * a + share * b
         yield {joint: tuple(ease * np.array(a) + spread * rng.standard_normal(3)) for joint, a in pose.items()}
-
-
-def _between(first: Pose, second: Pose, share: float) -> Pose:
-    """Joint angles on the way from one pose to another."""
-    still = np.zeros(3)
-    joints = sorted({*first, *second})
-    return {j: (1 - share) * np.array(first.get(j, still)) + share * np.array(second.get(j, still)) for j in joints}

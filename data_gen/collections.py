@@ -10,14 +10,13 @@ from scipy.spatial import cKDTree
 from data_gen.cats import cats
 from data_gen.creatures import creatures
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 
 _TO_THE_READER = np.array([0.74, -0.61, 0.28])  # the direction from which the pictures of the book look at shapes
 
 
-@checked(seed=">= 0", species=">= 0")
+@checks.checked(seed=">= 0", species=">= 0")
 def load_collection(
     source: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -77,7 +76,7 @@ def require_common_order(shapes: Sequence[Shape]) -> None:
         raise ValueError(f"a common vertex order needs equal vertex counts: {told}")
 
 
-@checked()
+@checks.checked()
 def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np.ndarray]:
     """Vertices (K,) of each shape at the points of a common template, from the files ``<name>.vts`` or ``<name>.txt``.
 
@@ -92,7 +91,7 @@ def load_correspondences(folder: str | Path, shapes: Sequence[Shape]) -> list[np
     return found
 
 
-@checked()
+@checks.checked()
 def front_paw(shape: Shape) -> int:
     """The vertex in the middle of a front paw, on a cat that stands on its feet as the first of each collection does.
 
@@ -109,7 +108,7 @@ def front_paw(shape: Shape) -> int:
     return int(np.linalg.norm(vertices - paw - 0.06 * _TO_THE_READER - [0, 0, 0.02], axis=1).argmin())
 
 
-@checked(correspondences="K < V", edges="E 2 < N")
+@checks.checked(correspondences="K < V", edges="E 2 < N")
 def correspondence_maps(
     shapes: Sequence[Shape], correspondences: Sequence[np.ndarray], edges: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 from data_gen.body import THIN, Body, Bone
 
 
-def towards(pitch, out=0.0):
+def towards(pitch: float, out: float = 0.0) -> np.ndarray:
     """Unit vector that rises ``pitch`` degrees from forward, then turns ``out`` degrees to the left."""
     pitch, out = np.deg2rad(pitch), np.deg2rad(out)
     return np.array([np.cos(pitch) * np.cos(out), np.sin(out) + 0 * pitch, np.sin(pitch) * np.cos(out)])

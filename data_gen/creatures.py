@@ -8,14 +8,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from data_gen import mesher
-from data_gen.body import Bone
+from data_gen.body import Bone, Cone
 from data_gen.cache import cached, recipe
 from data_gen.cat_pose import Rig, vertex_normals
 from data_gen.cats import SOURCES, grow_right_half
 from data_gen.creature_body import draw_body
 from data_gen.mesher import half_skin, is_sphere
 from data_gen.self_intersection import self_intersections
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.shape import Shape, edges_of_faces, vertex_areas
 
 _STEP = 0.014  # of the grid on which a body is contoured
@@ -41,7 +41,7 @@ class Creature(Shape):
     located: np.ndarray = None
 
 
-@checked(species=">= 0", seed=">= 0")
+@checks.checked(species=">= 0", seed=">= 0")
 def creatures(
     species: int,
     count: int = 11,
@@ -65,9 +65,8 @@ def creatures(
     """
     mesher.check_resolution(n_vertices)
     kind = f"{'symmetric' if symmetric else 'asymmetric'}{'-remeshed' * remeshed}"
-    key = (
-        f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{recipe(*SOURCES, 'creature_body.py', 'creatures.py')}"
-    )
+    made_by = recipe(*SOURCES, "creature_body.py", "creatures.py")
+    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{made_by}"
     made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed))
     return [Creature(name=f"creature{k}", **{field: made[f"{field}{k}"] for field in _ARRAYS}) for k in range(count)]
 
@@ -145,7 +144,7 @@ def _lopsided(vertices, faces, body, rng):
         share = Rig(vertices, faces, bones, cones).weights[:, limb].sum(axis=1, keepdims=True)
         vertices = vertices + excess * share * (vertices - joint)
 
-        def grown(part, *ends):
+        def grown(part: Bone | Cone, *ends: str) -> Bone | Cone:
             if not (part.name if isinstance(part, Bone) else part.bone).startswith(stem):
                 return part
             places = {end: np.array(getattr(part, end)) for end in ends}

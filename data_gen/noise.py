@@ -10,7 +10,6 @@ import fmsync
 from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, checks, so
-from fmsync.checks import checked
 
 _VERSIONS = {
     "fmsync": fmsync.__version__,
@@ -20,7 +19,7 @@ _VERSIONS = {
 }
 
 
-@checked()
+@checks.checked()
 def perturb(
     truth: GroundTruth,
     sigma2: float | None = None,
@@ -56,49 +55,33 @@ def perturb(
     [2, 3]
     """
     disturb = _family(noise, sigma2, kappa)
-    _check(truth, around, repeats, outliers, outlier_kind)
+    checks.one_of("around", around, ("consistent", "measured"))
+    checks.one_of("outlier_kind", outlier_kind, ("haar", "flip"))
+    if not 0 <= outliers < 1:
+        raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
+    if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
+        raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
     generator = np.random.default_rng(rng)
-    record = {
-        "noise": noise,
-        "sigma2": None if sigma2 is None else float(sigma2),
-        "kappa": None if kappa is None else float(kappa),
-        "around": around,
-        "two_way": bool(two_way),
-        "repeats": int(repeats),
-        "outliers": float(outliers),
+    record: dict[str, object] = {
+        **{"noise": noise, "sigma2": sigma2, "kappa": kappa, "around": around, "two_way": two_way, "repeats": repeats},
+        "outliers": outliers,
         "outlier_kind": outlier_kind if outliers > 0 else None,
         "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
         "versions": dict(_VERSIONS),
     }
-    edges, maps, replaced = _observed(truth, disturb, generator, record)
-    record["outlier_edges"] = replaced.tolist()
-    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
-
-
-def _observed(truth: GroundTruth, disturb: Callable, generator: np.random.Generator, options: dict) -> tuple:
-    """Edges, noisy maps, and which of them are outliers."""
-    edges, maps = truth.edges, truth.maps if options["around"] == "consistent" else truth.measured_maps
-    if options["two_way"]:
+    edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
+    if two_way:
         edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])
-    edges, maps = np.tile(edges, (options["repeats"], 1)), np.tile(maps, (options["repeats"], 1, 1))
-    replaced = np.sort(generator.permutation(len(edges))[: round(options["outliers"] * len(edges))])
-    if options["outlier_kind"] == "flip" and len(replaced):
+    edges, maps = np.tile(edges, (repeats, 1)), np.tile(maps, (repeats, 1, 1))
+    replaced = np.sort(generator.permutation(len(edges))[: round(outliers * len(edges))])
+    if record["outlier_kind"] == "flip" and len(replaced):
         i, j = edges[replaced].T
         maps[replaced] = so.project(so.transpose(truth.absolute[i]) @ truth.flip @ truth.absolute[j])
     maps = disturb(maps, generator)
-    if options["outlier_kind"] == "haar":
+    if record["outlier_kind"] == "haar":
         maps[replaced] = so.random_uniform(truth.n, len(replaced), generator)
-    return edges, maps, replaced
-
-
-def _check(truth: GroundTruth, around: str, repeats: int, outliers: float, outlier_kind: str) -> None:
-    checks.one_of("around", around, ("consistent", "measured"))
-    checks.count("repeats", repeats)
-    if not 0 <= outliers < 1:
-        raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
-    checks.one_of("outlier_kind", outlier_kind, ("haar", "flip"))
-    if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
-        raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
+    record["outlier_edges"] = replaced.tolist()
+    return SyncProblem(truth.n_nodes, edges, maps, provenance={**truth.provenance, **record})
 
 
 def _family(noise: str, sigma2: float | None, kappa: float | None) -> Callable:

@@ -2,12 +2,12 @@
 
 import os
 
-from fmsync.checks import checked
+from fmsync import checks
 
 _VARIABLE = "FMSYNC_SEED_SHIFT"
 
 
-@checked(number=">= 0")
+@checks.checked(number=">= 0")
 def seed(number: int) -> int:
     """``number`` itself or, in a test, ``number`` plus a constant.
 

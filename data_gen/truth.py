@@ -19,7 +19,6 @@ from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
 from fmsync import block_krylov, checks, functional_map, laplace_beltrami, so
-from fmsync.checks import checked
 from fmsync.problem import relative_maps
 from fmsync.shape import Basis, Shape
 
@@ -59,13 +58,13 @@ class GroundTruth:
         """Consistent relative maps C_i^T C_j of the edges, (E, n, n)."""
         return self.relative(self.edges)
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray) -> np.ndarray:
         """Consistent relative maps of any pairs (K, 2)."""
         return relative_maps(self.absolute, edges)
 
 
-@checked(flip="V < W")
+@checks.checked(flip="V < W")
 def ground_truth(
     shapes: Sequence[Shape],
     graph: nx.Graph,
@@ -132,7 +131,7 @@ def _basis(shape: Shape, n_basis: int) -> Basis:
     return Basis(**cached(key, lambda: vars(laplace_beltrami(shape.vertices, shape.faces, n_basis))))
 
 
-@checked(edges="E 2 < N")
+@checks.checked(edges="E 2 < N")
 def measure_maps(
     bases: Sequence[Basis], edges: np.ndarray, point_maps: Mapping[tuple[int, int], np.ndarray] | None = None
 ) -> np.ndarray:
@@ -143,7 +142,7 @@ def measure_maps(
     return np.stack(maps)
 
 
-@checked()
+@checks.checked()
 def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.ndarray] | None = None) -> list[Basis]:
     """Flip one eigenfunction on each shape whose map to the first has a negative determinant.
 
@@ -162,7 +161,7 @@ def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.nd
     return fixed
 
 
-@checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E")
+@checks.checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E")
 def absolute_maps(
     n_nodes: int,
     edges: np.ndarray,
@@ -191,7 +190,7 @@ def absolute_maps(
     return so.project(absolute)
 
 
-@checked(n_nodes=">= 2")
+@checks.checked(n_nodes=">= 2")
 def planted(n_nodes: int, n: int, graph: nx.Graph | None = None, rng: int | np.random.Generator = 0) -> GroundTruth:
     """A truth without shapes: Haar-uniform absolute maps on a graph (complete by default), gauge C_1 = I.
 

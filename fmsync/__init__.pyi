@@ -14,7 +14,6 @@ from fmsync import problem as problem
 from fmsync import samplers as samplers
 from fmsync import shape as shape
 from fmsync import so as so
-from fmsync import uncertainty as uncertainty
 from fmsync import viz as viz
 from fmsync.bounds import expected_rms_error as expected_rms_error
 from fmsync.bounds import relative_error_bound as relative_error_bound

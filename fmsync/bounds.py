@@ -7,14 +7,13 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.langevin import mean_cosine
 from fmsync.problem import SyncProblem
 
 _MOMENT_SAMPLES = 4000  # relative standard error of w_F at n = 20: 4e-4
 
 
-@checked()
+@checks.checked()
 def grounded_laplacian(problem: SyncProblem) -> SuperLU:
     """Sparse factors of the weighted graph Laplacian without its first row and column, whose node is held at 0."""
     (i, j), n_nodes = problem.edges.T, problem.n_nodes
@@ -24,7 +23,7 @@ def grounded_laplacian(problem: SyncProblem) -> SuperLU:
     return splu(laplacian[1:, 1:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
-@checked(n_nodes="N >= 2", edges="E 2 < N", pairs="K 2 < N", weights="E")
+@checks.checked(n_nodes="N >= 2", edges="E 2 < N", pairs="K 2 < N", weights="E")
 def effective_resistance(
     n_nodes: int, edges: np.ndarray, pairs: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> np.ndarray:
@@ -52,7 +51,7 @@ def effective_resistance(
     return resistance
 
 
-@checked(n_nodes="N >= 2", edges="E 2 < N", sigma2=checks.not_negative, pairs="K 2 < N")
+@checks.checked(n_nodes="N >= 2", edges="E 2 < N", sigma2=checks.not_negative, pairs="K 2 < N")
 def relative_error_bound(
     n_nodes: int, edges: np.ndarray, n: int, sigma2: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
@@ -69,7 +68,7 @@ def relative_error_bound(
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
 
 
-@checked(squared="...")
+@checks.checked(squared="...")
 def is_small_error(n: int, squared: np.ndarray | float) -> np.ndarray:
     r"""Whether lower bounds of squared errors (K,) are small enough to hold: at most a tenth of 2n.
 
@@ -82,7 +81,7 @@ def is_small_error(n: int, squared: np.ndarray | float) -> np.ndarray:
     return np.asarray(squared) <= 0.1 * 2 * n
 
 
-@checked(n_nodes="N >= 2", edges="E 2 < N", kappa=checks.positive, pairs="K 2 < N")
+@checks.checked(n_nodes="N >= 2", edges="E 2 < N", kappa=checks.positive, pairs="K 2 < N")
 def langevin_error_bound(
     n_nodes: int, edges: np.ndarray, n: int, kappa: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
@@ -99,7 +98,7 @@ def langevin_error_bound(
     return n * (n - 1) / 2 / information * effective_resistance(n_nodes, edges, pairs)
 
 
-@checked(n_nodes="N >= 2", edges="E 2 < N", sigma2=checks.not_negative, pairs="K 2 < N")
+@checks.checked(n_nodes="N >= 2", edges="E 2 < N", sigma2=checks.not_negative, pairs="K 2 < N")
 def expected_rms_error(
     n_nodes: int, edges: np.ndarray, n: int, sigma2: float, pairs: np.ndarray | None = None
 ) -> np.ndarray:
@@ -121,7 +120,7 @@ def expected_rms_error(
     return n * (n - 1) / 2 * np.sqrt(resistance / information)
 
 
-@checked(sigma2=checks.not_negative)
+@checks.checked(sigma2=checks.not_negative)
 @cache
 def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMPLES) -> tuple[float, float]:
     r"""(:math:`E\operatorname{tr}Z`, :math:`E\lVert\mathrm{skew}\,Z\rVert_F^2`) of Z = proj(I + σG), by a fixed sample.
@@ -134,7 +133,7 @@ def projected_noise_moments(n: int, sigma2: float, n_samples: int = _MOMENT_SAMP
     return float(np.einsum("kaa->k", noise).mean()), float((so.skew(noise) ** 2).sum((1, 2)).mean())
 
 
-@checked(n_nodes=">= 2", n_observations=checks.positive)
+@checks.checked(n_nodes=">= 2", n_observations=checks.positive)
 def recovery_cosine(n_nodes: int, n_observations: float) -> float:
     r"""Mean cosine :math:`1/\sqrt{2E/(N-1) + 1}` of the noise below which E observations between N nodes say little.
 
@@ -144,7 +143,7 @@ def recovery_cosine(n_nodes: int, n_observations: float) -> float:
     return float(1 / np.sqrt(2 * n_observations / (n_nodes - 1) + 1))
 
 
-@checked(n_nodes=">= 2", n=">= 2", density=checks.share)
+@checks.checked(n_nodes=">= 2", n=">= 2", density=checks.share)
 def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, density: float = 1.0) -> float:
     r"""Noise variance σ² beyond which synchronisation of a random graph is expected to recover little.
 

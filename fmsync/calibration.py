@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc
 
 from fmsync import checks
-from fmsync.checks import checked
 
 _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 
 
-@checked(draws="T ...", truth="...")
+@checks.checked(draws="T ...", truth="...")
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
     draws = np.asarray(draws)
@@ -26,7 +25,7 @@ def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     return (draws < truth).mean(axis=0)
 
 
-@checked(ranks=checks.shares, bins=">= 2")
+@checks.checked(ranks=checks.shares, bins=">= 2")
 def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     r"""p-value of the :math:`\chi^2` test that ranks (P,) among ``n_draws`` draws are uniform.
 
@@ -41,7 +40,7 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     return float(chdtrc(bins - 1, ((observed - expected) ** 2 / expected).sum()))
 
 
-@checked(draws=checks.array, truth="m n")
+@checks.checked(draws=checks.array, truth="m n")
 def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Probability of the smallest credible ball that holds the truth (n, n), from draws (T, n, n) of a relative map.
 
@@ -55,7 +54,7 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     return float(rank(distances, np.linalg.norm(truth - mean)))
 
 
-@checked(levels="P M", nominal="L")
+@checks.checked(levels="P M", nominal="L")
 def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
 
@@ -68,7 +67,7 @@ def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.nd
     return covered.mean(axis=1), covered.std(axis=1, ddof=1) / np.sqrt(len(levels))
 
 
-@checked(draws="T K n n", truth="K n n", levels="L")
+@checks.checked(draws="T K n n", truth="K n n", levels="L")
 def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarray:
     r"""Whether credible balls of ``levels`` (L,) hold truths (K, n, n) of K maps, (L, K) booleans; splits the draws.
 
@@ -83,13 +82,13 @@ def covered(draws: np.ndarray, truth: np.ndarray, levels: ArrayLike) -> np.ndarr
     return np.linalg.norm(truth - centre, axis=(-2, -1)) <= radii
 
 
-@checked(shares="L", levels="L")
+@checks.checked(shares="L", levels="L")
 def calibration_error(shares: ArrayLike, levels: ArrayLike) -> float:
     """Mean distance of coverage (L,) from the levels (L,) that were promised."""
     return round(float(np.abs(np.subtract(shares, levels)).mean()), 12)
 
 
-@checked(draws="T ... m n", truth="... m n")
+@checks.checked(draws="T ... m n", truth="... m n")
 def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
     r"""Energy score :math:`E\lVert C-C^*\rVert_F - \tfrac12E\lVert C-C'\rVert_F` of draws; lower is better.
 

@@ -302,6 +302,14 @@ def edge_name(edges: np.ndarray, e: int) -> str:
     return f"edge {e} ({edges[e, 0]}, {edges[e, 1]})"
 
 
+def freeze(instance: object, **fields: object) -> None:
+    """Set fields of a frozen dataclass, whose arrays are read-only from now on."""
+    for name, value in fields.items():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+        object.__setattr__(instance, name, value)
+
+
 def rotations(name: str, c: np.ndarray, each: str = "node") -> None:
     """Rotations (..., n, n), up to an error of 1e-6 in every entry of CᵀC; messages number them as ``each``."""
     c = c.reshape(-1, *c.shape[-2:])

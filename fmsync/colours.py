@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmsync.checks import checked
+from fmsync import checks
 
 
-@checked(vertices="V 3")
+@checks.checked(vertices="V 3")
 def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
     """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map."""
     vertices = np.asarray(vertices, dtype=float)

@@ -7,11 +7,10 @@ shape; :func:`heat_kernel` from a few landmarks can.
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.shape import Basis
 
 
-@checked()
+@checks.checked()
 def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     r"""Heat kernel signature :math:`\sum_k e^{-\lambda_k t} \phi_k(x)^2 / \sum_k e^{-\lambda_k t}` (Sun et al. 2009).
 
@@ -21,15 +20,14 @@ def heat_kernel_signature(basis: Basis, n_times: int = 32) -> np.ndarray:
     return _squares_averaged(basis, np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues)))
 
 
-@checked()
+@checks.checked()
 def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     r"""Wave kernel signature :math:`\sum_k w_k(e) \phi_k(x)^2 / \sum_k w_k(e)` (Aubry et al. 2011).
 
     (V, ``n_energies``), weights :math:`w_k(e) = e^{-(e - \ln \lambda_k)^2 / 2 s^2}` at energies e evenly spaced from
     :math:`\ln \lambda_2 + 2s` to :math:`\ln \lambda_n - 2s`, s = 7 spacings; the area-weighted mean of a column is 1.
     """
-    _check(basis, n_energies, "n_energies")
-    logs = np.log(basis.eigenvalues[1:])
+    logs = np.log(_varying(basis))
     # spacing δ, width s = 7δ, range shortened by 2s at both ends: (K − 1) δ = span − 4s gives δ = span / (K + 27).
     spacing = max((logs[-1] - logs[0]) / (n_energies + 27), 1e-6)
     width = 7 * spacing
@@ -40,7 +38,7 @@ def wave_kernel_signature(basis: Basis, n_energies: int = 32) -> np.ndarray:
     return _squares_averaged(basis, weights)
 
 
-@checked(landmarks="L < V")
+@checks.checked(landmarks="L < V")
 def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.ndarray:
     r"""Heat at every vertex from a unit source at each landmark, :math:`\sum_k e^{-\lambda_k t} \phi_k(x) \phi_k(y)`.
 
@@ -56,9 +54,8 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
 
 
 def _times(basis: Basis, n_times: int) -> np.ndarray:
-    _check(basis, n_times, "n_times")
-    scale = 4 * np.log(10)
-    return np.geomspace(scale / basis.eigenvalues[-1], scale / basis.eigenvalues[1], n_times)
+    values, scale = _varying(basis), 4 * np.log(10)
+    return np.geomspace(scale / values[-1], scale / values[0], n_times)
 
 
 def _squares_averaged(basis: Basis, weights: np.ndarray) -> np.ndarray:
@@ -67,7 +64,8 @@ def _squares_averaged(basis: Basis, weights: np.ndarray) -> np.ndarray:
     return basis.eigenfunctions**2 @ weights.T
 
 
-def _check(basis: Basis, count: int, name: str) -> None:
+def _varying(basis: Basis) -> np.ndarray:
+    """Eigenvalues (n - 1,) of all functions but the constant one."""
     if basis.n < 2:
         raise ValueError("descriptors need a basis of at least two functions: the first one is constant")
-    checks.count(name, count)
+    return basis.eigenvalues[1:]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.problem import SyncProblem
 
 _MAX_PAIRS = 10
@@ -70,7 +69,7 @@ class Summary:
         row = self.names.index(name)
         return {column: float(getattr(self, column)[row]) for column in _COLUMNS}
 
-    @checked()
+    @checks.checked()
     def head(self, count: int) -> "Summary":
         """The first ``count`` scalars."""
         return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))
@@ -105,7 +104,7 @@ class Summary:
 _COLUMNS = ("mean", "sd", "r_hat", "ess_bulk", "ess_tail")
 
 
-@checked(values=checks.real)
+@checks.checked(values="chains draws")
 def rhat(values: np.ndarray) -> float:
     """Rank-normalised split R-hat of (chains, draws): 1 when all chains, and both halves of each, agree.
 
@@ -116,15 +115,13 @@ def rhat(values: np.ndarray) -> float:
     >>> rhat(noise) < 1.01 < rhat(noise + np.arange(4)[:, None])
     True
     """
-    values = _checked(values)
     return float(_array_stats().rhat(values)) if _varies(values) else np.nan
 
 
-@checked(values=checks.real)
+@checks.checked(values="chains draws")
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
     checks.one_of("kind", kind, ("bulk", "tail"))
-    values = _checked(values)
     if not _varies(values):
         return np.nan
     return float(_array_stats().ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
@@ -137,7 +134,7 @@ def _array_stats() -> Any:
     return array_stats
 
 
-@checked(edges="K 2 < N")
+@checks.checked(edges="K 2 < N")
 def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Gauge-invariant scalars of every draw, each (chains, draws): the energy, and of some relative maps two numbers.
 
@@ -154,7 +151,7 @@ def scalars(post: Draws, edges: np.ndarray | None = None) -> dict[str, np.ndarra
     return values
 
 
-@checked(edges="K 2 < N")
+@checks.checked(edges="K 2 < N")
 def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """Mean, standard deviation, R-hat, bulk and tail ESS of :func:`scalars`, one row each.
 
@@ -167,7 +164,7 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
 
 
-@checked()
+@checks.checked()
 def warn_unless_converged(post: Draws) -> None:
     """Warn when the energy or an inferred concentration has R-hat above 1.01 or fewer than 400 effective draws.
 
@@ -198,16 +195,6 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
         complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): {todo}")
     if complaints:
         warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=5)
-
-
-def _checked(values: np.ndarray) -> np.ndarray:
-    values = np.asarray(values, dtype=float)
-    if values.ndim != 2:
-        raise ValueError(f"values: expected (chains, draws), got shape {values.shape}")
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        raise ValueError(f"values: chain {bad[0][0]}, draw {bad[0][1]} is not finite")
-    return values
 
 
 def _varies(values: np.ndarray) -> bool:

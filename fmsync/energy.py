@@ -6,9 +6,8 @@ accept leading batch axes, e.g. chains.
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 from fmsync.block_products import add_products
-from fmsync.checks import checked, unchecked
 from fmsync.problem import SyncProblem
 from fmsync.problem import relative_maps_unchecked as relative_maps
 from fmsync.so import skew, sym, transpose
@@ -17,7 +16,7 @@ _EDGES_AT_ONCE = 256  # keeps temporary arrays far below the size of the observa
 _CHAINS_AT_ONCE = 8  # of one dense product: those of many chains leave the cache
 
 
-@checked(c="... N m n")
+@checks.checked(c="... N m n")
 def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""S_j (..., N, n, n), the weighted sum of what every neighbour says about C_j.
 
@@ -39,7 +38,7 @@ def neighbour_sums(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(transpose(transposed_sums_unchecked(problem, transpose(c))))
 
 
-@checked(blocks="... N n m", maps="E n n")
+@checks.checked(blocks="... N n m", maps="E n n")
 def transposed_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
     r"""Transposes of :func:`neighbour_sums`, (..., N, n, m), from ``blocks`` :math:`C_j^\top`.
 
@@ -58,13 +57,13 @@ def transposed_sums(problem: SyncProblem, blocks: np.ndarray, maps: np.ndarray |
     return sums.reshape(blocks.shape)
 
 
-@checked(c="... N n n")
+@checks.checked(c="... N n n")
 def energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Euclidean energy :math:`U_E = \sum w\,\lVert C_i^\top C_j - C_{ij}\rVert_F^2`, (...), edge by edge."""
     return squared_residuals_unchecked(problem, c) @ problem.weights
 
 
-@checked(c="... N n n")
+@checks.checked(c="... N n n")
 def squared_residuals(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""(..., E) the terms :math:`\lVert C_i^\top C_j - C_{ij}\rVert_F^2` of :func:`energy`, in double precision."""
     flat, chains = c.astype(float, copy=False).reshape(-1, *c.shape[-2:]), np.arange(c[..., 0, 0, 0].size)
@@ -78,14 +77,14 @@ def squared_residuals(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return squares.reshape(*c.shape[:-3], problem.n_edges)
 
 
-@checked(c="... N n n", sums="... N n n")
+@checks.checked(c="... N n n", sums="... N n n")
 def gradient(problem: SyncProblem, c: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
     r"""Body-frame gradient of ``energy``: :math:`g_j = -2\,\mathrm{skew}(C_j^\top S_j)`, (..., N, n, n)."""
     sums = neighbour_sums_unchecked(problem, c) if sums is None else sums
     return -2 * skew(transpose(c) @ sums)
 
 
-@checked(c="... N n n", omega="... N n n skew", sums="... N n n")
+@checks.checked(c="... N n n", omega="... N n n skew", sums="... N n n")
 def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.ndarray | None = None) -> np.ndarray:
     r"""Riemannian Hessian of ``energy`` along skew Ω: :math:`-2\,\mathrm{skew}(C_j^\top\dot S_j - \Omega_j\,\mathrm{sym}(C_j^\top S_j))`.
 
@@ -96,13 +95,13 @@ def hessian(problem: SyncProblem, c: np.ndarray, omega: np.ndarray, sums: np.nda
     return -2 * skew(transpose(c) @ moving - omega @ sym(transpose(c) @ sums))
 
 
-@checked(c="... N n n rotations")
+@checks.checked(c="... N n n rotations")
 def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Geodesic energy :math:`U_R = \sum w\,\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2` (maps are rotations)."""
     return (problem.weights * so.dist_unchecked(problem.maps, relative_maps(c, problem.edges)) ** 2).sum(-1)
 
 
-@checked(c="... N n n rotations")
+@checks.checked(c="... N n n rotations")
 def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r"""Body-frame gradient of ``geodesic_energy``, (..., N, n, n).
 
@@ -120,7 +119,7 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     return g
 
 
-@checked()
+@checks.checked()
 def gram_blocks(problem: SyncProblem) -> np.ndarray:
     r"""(N, n, n) sums of :math:`w C_{ij} C_{ij}^\top` over edges out of a node and of w I over edges into it.
 
@@ -133,7 +132,7 @@ def gram_blocks(problem: SyncProblem) -> np.ndarray:
     return gram
 
 
-@checked(c="... N n n")
+@checks.checked(c="... N n n")
 def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     r""":math:`\sum w\,\lVert C_i C_{ij} - C_j\rVert_F^2` for arbitrary matrices C_i; equals ``energy`` on rotations."""
     i, j = problem.edges.T
@@ -142,8 +141,10 @@ def unconstrained_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 
 
 # without the tests of arguments: for loops inside the library
-neighbour_sums_unchecked, transposed_sums_unchecked = unchecked(neighbour_sums), unchecked(transposed_sums)
-energy_unchecked, gradient_unchecked = unchecked(energy), unchecked(gradient)
-squared_residuals_unchecked = unchecked(squared_residuals)
-unconstrained_energy_unchecked = unchecked(unconstrained_energy)
-geodesic_energy_unchecked, geodesic_gradient_unchecked = unchecked(geodesic_energy), unchecked(geodesic_gradient)
+neighbour_sums_unchecked = checks.unchecked(neighbour_sums)
+transposed_sums_unchecked = checks.unchecked(transposed_sums)
+energy_unchecked, gradient_unchecked = checks.unchecked(energy), checks.unchecked(gradient)
+squared_residuals_unchecked = checks.unchecked(squared_residuals)
+unconstrained_energy_unchecked = checks.unchecked(unconstrained_energy)
+geodesic_energy_unchecked = checks.unchecked(geodesic_energy)
+geodesic_gradient_unchecked = checks.unchecked(geodesic_gradient)

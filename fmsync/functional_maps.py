@@ -1,4 +1,4 @@
-r"""Functional maps: point map → matrix, descriptors → matrix, matrix → point map.
+r"""Functional maps: point map → matrix, descriptors → matrix, matrix → point map, draws → images of a vertex.
 
 One convention everywhere: ``C_ij`` (n_i, n_j) takes coefficients on shape j to coefficients on shape i, so functions on
 j are pulled back along a point map from i to j, and ``C_ij @ C_jk`` is ``C_ik`` (Ovsjanikov et al. 2012).
@@ -7,11 +7,10 @@ j are pulled back along a point map from i to j, and ``C_ij @ C_jk`` is ``C_ik``
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked, unchecked
 from fmsync.shape import Basis
 
 
-@checked(point_map=checks.plain)
+@checks.checked(point_map=checks.plain)
 def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.ndarray:
     r"""Functional map (n_i, n_j), :math:`C_{ij} = \Phi_i^\top A_i P \Phi_j`, of a point map from shape i to shape j.
 
@@ -29,7 +28,7 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
     return basis_i.coefficients(basis_j.eigenfunctions[point_map])
 
 
-@checked(descriptors_i=checks.real, descriptors_j=checks.real, commutativity=checks.not_negative)
+@checks.checked(descriptors_i="V K", descriptors_j="W K", commutativity=checks.not_negative)
 def functional_map_from_descriptors(
     basis_i: Basis,
     basis_j: Basis,
@@ -59,24 +58,30 @@ def functional_map_from_descriptors(
     array([[1., 0.],
            [0., 1.]])
     """
-    descriptors_i = _checked_descriptors(descriptors_i, basis_i, "descriptors_i")
-    descriptors_j = _checked_descriptors(descriptors_j, basis_j, "descriptors_j")
-    if descriptors_i.shape[1] != descriptors_j.shape[1]:
-        counts = f"{descriptors_i.shape[1]} descriptors on i but {descriptors_j.shape[1]} on j"
-        raise ValueError(f"descriptors_j: {counts}; need the same")
+    for name, given, basis in (("i", descriptors_i, basis_i), ("j", descriptors_j, basis_j)):
+        if len(given) != basis.n_vertices:
+            raise ValueError(f"descriptors_{name}: {len(given)} rows for the {basis.n_vertices} vertices of {name}")
     if orthogonal and basis_i.n != basis_j.n:
         raise ValueError(f"an orthogonal map needs bases of one size, got {basis_i.n} and {basis_j.n}: truncate one")
 
     a, b = basis_i.coefficients(descriptors_i), basis_j.coefficients(descriptors_j)  # (n_i, K), (n_j, K)
     largest = max(basis_i.eigenvalues[-1], basis_j.eigenvalues[-1]) or 1.0
     values_i, values_j = basis_i.eigenvalues / largest, basis_j.eigenvalues / largest
-    weight = commutativity * (b**2).sum()
+    weight, target = commutativity * (b**2).sum(), a @ b.T
     if orthogonal:
-        return _fit_rotation(a @ b.T, weight, values_i, values_j)
-    return _fit_rows(a, b, weight * (values_i[:, None] - values_j) ** 2)
+        outer = 2 * weight * values_i[:, None] * values_j  # Λ_i C Λ_j is an entrywise product with this
+        c = so.project_unchecked(target)
+        for _ in range(1000):
+            previous, c = c, so.project_unchecked(target + outer * c)
+            if np.abs(c - previous).max() < 1e-9:
+                break
+        return c
+    penalty = weight * (values_i[:, None] - values_j) ** 2  # of every row of C: one small normal equation each
+    normal = b @ b.T + penalty[:, :, None] * np.eye(len(b))  # (n_i, n_j, n_j)
+    return (np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ target[:, :, None])[:, :, 0]
 
 
-@checked(c_ij=checks.real, vertices=checks.plain)
+@checks.checked(c_ij=checks.real, vertices=checks.plain)
 def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.ndarray | None = None) -> np.ndarray:
     r"""Point map of a functional map: x goes to :math:`\arg\min_y \lVert (\Phi_i C_{ij})_x - (\Phi_j)_y \rVert`.
 
@@ -96,7 +101,22 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     return nearest_rows_unchecked(rows @ c_ij, basis_j.eigenfunctions)
 
 
-@checked(queries="Q n", targets="V n")
+@checks.checked(relative_draws=checks.array, vertex=">= 0")
+def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
+    r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
+
+    The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
+
+    ``relative_draws`` (K, n_i, n_j) are draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
+    """
+    relative_draws = np.asarray(relative_draws, dtype=float)
+    if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
+        raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
+    checks.indices("vertex", [vertex], basis_i.n_vertices)
+    return nearest_rows_unchecked(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
+
+
+@checks.checked(queries="Q n", targets="V n")
 def nearest_rows(queries: np.ndarray, targets: np.ndarray, block: int = 128) -> np.ndarray:
     """Index of the target (V, n) nearest to each query (Q, n)."""
     # ‖q − t‖² = ‖q‖² + (‖t‖² − 2 q·t): the bracket is one product with a column more, and orders as the distance does.
@@ -108,32 +128,4 @@ def nearest_rows(queries: np.ndarray, targets: np.ndarray, block: int = 128) -> 
     return nearest
 
 
-def _fit_rows(a: np.ndarray, b: np.ndarray, penalty: np.ndarray) -> np.ndarray:
-    """Row r of C minimises ‖c B − a_r‖² + Σ_b penalty_rb c_b²: one small normal equation each."""
-    normal = b @ b.T + penalty[:, :, None] * np.eye(len(b))  # (n_i, n_j, n_j)
-    right = (a @ b.T)[:, :, None]  # (n_i, n_j, 1)
-    return (np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ right)[:, :, 0]
-
-
-def _fit_rotation(target: np.ndarray, weight: float, values_i: np.ndarray, values_j: np.ndarray) -> np.ndarray:
-    """Maximise tr(Cᵀ target) + weight · tr(Cᵀ Λ_i C Λ_j) over SO(n), starting from the first term's maximum."""
-    outer = 2 * weight * values_i[:, None] * values_j  # Λ_i C Λ_j is an entrywise product with this
-    c = so.project_unchecked(target)
-    for _ in range(1000):
-        previous, c = c, so.project_unchecked(target + outer * c)
-        if np.abs(c - previous).max() < 1e-9:
-            break
-    return c
-
-
-def _checked_descriptors(descriptors: np.ndarray, basis: Basis, name: str) -> np.ndarray:
-    descriptors = np.asarray(descriptors, dtype=np.float64)
-    if descriptors.ndim != 2 or len(descriptors) != basis.n_vertices:
-        raise ValueError(f"{name} must be (V, K) with V = {basis.n_vertices} vertices, got {descriptors.shape}")
-    bad = np.argwhere(~np.isfinite(descriptors))
-    if len(bad):
-        raise ValueError(f"{name}: descriptor {bad[0][1]} is not finite at vertex {bad[0][0]}")
-    return descriptors
-
-
-nearest_rows_unchecked = unchecked(nearest_rows)  # for loops
+nearest_rows_unchecked = checks.unchecked(nearest_rows)  # for loops

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.mesh_repair import repaired
 from fmsync.shape import Shape
 
@@ -32,7 +32,7 @@ _PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int3
 _PLY_TYPES |= {"float32": "f4", "double": "f8", "float64": "f8"}
 
 
-@checked()
+@checks.checked()
 def mesh_files(paths: Iterable[str | Path]) -> list[Path]:
     """Files that are named, or lie in folders that are named, each once; a folder's in natural order (2 before 10).
 
@@ -55,7 +55,7 @@ def mesh_files(paths: Iterable[str | Path]) -> list[Path]:
     return files
 
 
-@checked()
+@checks.checked()
 def read_shape(path: str | Path, manifold: bool = True) -> Shape:
     """The shape in a file, named after it; a point cloud if the file announces no faces.
 

@@ -3,11 +3,10 @@ r"""The paper's oracle accuracy: how near the truth lies the best map that can b
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.problem import fix_gauge_unchecked as fix_gauge
 
 
-@checked(draws=checks.array, truth="N n n rotations", counts="M < K1")
+@checks.checked(draws=checks.array, truth="N n n rotations", counts="M < K1")
 def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = None) -> np.ndarray:
     r"""Oracle accuracy against the number of samples.
 
@@ -40,7 +39,7 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     return (1 / (1 + np.sqrt(squared[counts - 1]))).mean(axis=1)
 
 
-@checked(first="N n n rotations")
+@checks.checked(first="N n n rotations")
 def haar_baseline(first: np.ndarray, n_samples: int, rng: int | np.random.Generator = 0) -> np.ndarray:
     """The paper's baseline draws (n_samples, N, n, n): a point estimate first, then uniform rotations.
 

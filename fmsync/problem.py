@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from fmsync import checks
 from fmsync.block_products import products
-from fmsync.checks import checked, unchecked
 from fmsync.files import replacing
 from fmsync.so import transpose
 
@@ -48,7 +47,7 @@ class SyncProblem:
     weights: np.ndarray
     provenance: Mapping[str, object]
 
-    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
+    @checks.checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self,
         n_nodes: int,
@@ -66,12 +65,8 @@ class SyncProblem:
         bad = np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))
         if bad.size:
             raise ValueError(f"maps: {checks.edge_name(edges, bad[0])} holds NaN or infinity")
-        weights = checks.edge_weights(weights, edges)
-        object.__setattr__(self, "n_nodes", n_nodes)
-        object.__setattr__(self, "provenance", {} if provenance is None else provenance)
-        for name, array in (("edges", edges), ("maps", maps), ("weights", weights)):
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        arrays = {"edges": edges, "maps": maps, "weights": checks.edge_weights(weights, edges)}
+        checks.freeze(self, n_nodes=n_nodes, **arrays, provenance={} if provenance is None else provenance)
 
     @property
     def n(self) -> int:
@@ -167,13 +162,10 @@ class LangevinPrior:
             raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")
         if not kappa.any():
             raise ValueError("kappa: all concentrations are 0; leave the prior out instead")
-        mean.setflags(write=False)
-        kappa.setflags(write=False)
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "kappa", kappa)
+        checks.freeze(self, mean=mean, kappa=kappa)
 
 
-@checked(kappa=checks.positive)
+@checks.checked(kappa=checks.positive)
 def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncProblem:
     r"""The problem with its prior written as observations from one more node, the anchor, held at the identity.
 
@@ -188,7 +180,7 @@ def anchored(problem: SyncProblem, prior: LangevinPrior, kappa: float) -> SyncPr
     return SyncProblem(problem.n_nodes + 1, np.concatenate([problem.edges, edges]), maps, weights)
 
 
-@checked()
+@checks.checked()
 def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
     """Raise a ValueError unless the prior has a mode for every map."""
     expected = (problem.n_nodes, problem.n, problem.n)
@@ -196,20 +188,20 @@ def check_prior(problem: SyncProblem, prior: LangevinPrior) -> None:
         raise ValueError(f"prior.mean: expected {expected} for this problem, got {prior.mean.shape}")
 
 
-@checked(absolute="... N n n", edges="K 2 < N")
+@checks.checked(absolute="... N n n", edges="K 2 < N")
 def relative_maps(absolute: np.ndarray, edges: np.ndarray) -> np.ndarray:
     r"""Relative maps :math:`C_i^\top C_j` (..., E, n, n) of absolute rotations (..., N, n, n)."""
     i, j = np.asarray(edges).T
     return transpose(absolute[..., i, :, :]) @ absolute[..., j, :, :]
 
 
-@checked(absolute="... N n n", node="< N")
+@checks.checked(absolute="... N n n", node="< N")
 def fix_gauge(absolute: np.ndarray, node: int = 0) -> np.ndarray:
     """The equivalent rotations with C_node = I; (..., N, n, n)."""
     return transpose(absolute[..., node, None, :, :]) @ absolute
 
 
-@checked(n_nodes="N >= 2", edges="E 2 < N", maps="E n n")
+@checks.checked(n_nodes="N >= 2", edges="E 2 < N", maps="E n n")
 def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Inconsistency :math:`\lVert C_{ij}C_{jk}C_{ki} - I\rVert_F` of every 3-cycle i < j < k of the graph.
 
@@ -226,7 +218,7 @@ def cycle_error(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray
     return np.array([np.linalg.norm(lookup[i, j] @ lookup[j, k] @ lookup[k, i] - identity) for i, j, k in triangles])
 
 
-@checked()
+@checks.checked()
 def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     """Write a problem; the file appears whole or not at all.
 
@@ -247,7 +239,7 @@ def save_problem(problem: SyncProblem, path: str | Path) -> Path:
     return path
 
 
-@checked()
+@checks.checked()
 def load_problem(path: str | Path) -> SyncProblem:
     """Read a problem written by :func:`save_problem`; a ValueError names the file when it is not one."""
     data = Path(path).read_bytes()
@@ -259,4 +251,4 @@ def load_problem(path: str | Path) -> SyncProblem:
         raise ValueError(f"{path}: not a complete problem file ({error}); write it again with save_problem") from error
 
 
-relative_maps_unchecked, fix_gauge_unchecked = unchecked(relative_maps), unchecked(fix_gauge)  # for loops
+relative_maps_unchecked, fix_gauge_unchecked = checks.unchecked(relative_maps), checks.unchecked(fix_gauge)  # for loops

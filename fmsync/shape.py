@@ -14,7 +14,6 @@ from scipy.sparse.linalg import splu
 
 from fmsync import checks
 from fmsync.block_krylov import largest_eigenpairs
-from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.threads import single_threaded_blas
 
@@ -41,8 +40,8 @@ class Shape:
         if not isinstance(self.name, str):
             raise ValueError(f"name: expected a string, got {self.name!r}")
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
-        object.__setattr__(self, "vertices", _read_only(vertices))
-        object.__setattr__(self, "faces", None if faces is None else _read_only(faces))
+        faces = None if faces is None else np.ascontiguousarray(faces)
+        checks.freeze(self, vertices=np.ascontiguousarray(vertices), faces=faces)
 
     @property
     def n_vertices(self) -> int:
@@ -81,7 +80,7 @@ class Basis:
 
     def __post_init__(self) -> None:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
-            object.__setattr__(self, field, _read_only(checks.array(field, getattr(self, field)).astype(np.float64)))
+            checks.freeze(self, **{field: checks.array(field, getattr(self, field)).astype(np.float64, order="C")})
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
             shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
             raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")
@@ -102,7 +101,7 @@ class Basis:
         values = self.eigenvalues[1:_SPECTRUM]
         return len(values) > 1 and bool((np.diff(values) < _MULTIPLE * values[:-1]).mean() > _MANY)
 
-    @checked(functions="V ...")
+    @checks.checked(functions="V ...")
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
         functions = np.asarray(functions)
@@ -110,7 +109,7 @@ class Basis:
             raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
-    @checked(k=">= 0")
+    @checks.checked(k=">= 0")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
         if not 0 <= k < self.n:
@@ -118,7 +117,7 @@ class Basis:
         signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
         return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
 
-    @checked()
+    @checks.checked()
     def truncated(self, n: int) -> "Basis":
         """The first n of the basis functions."""
         if not 1 <= n <= self.n:
@@ -126,7 +125,7 @@ class Basis:
         return Basis(self.eigenvalues[:n], self.eigenfunctions[:, :n], self.mass)
 
 
-@checked(vertices=checks.real, faces=checks.plain, n_basis=">= 0")
+@checks.checked(vertices=checks.real, faces=checks.plain, n_basis=">= 0")
 def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: int) -> Basis:
     r"""First ``n_basis`` < V Laplace–Beltrami eigenfunctions of a mesh or point cloud (as in :class:`Shape`), area 1.
 
@@ -185,7 +184,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.c
     return sparse.csr_array(stiffness), mass.diagonal()
 
 
-@checked(faces="F 3 < V")
+@checks.checked(faces="F 3 < V")
 def edges_of_faces(faces: np.ndarray) -> np.ndarray:
     """(3 F, 2) edges of triangles (F, 3), the smaller vertex first: corners 0–1, 1–2 and 2–0 of every face in turn."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -215,20 +214,14 @@ def _cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[spars
     return stiffness, vertex_areas(vertices, faces)
 
 
-@checked(vertices="V 3", faces="F 3 < V")
+@checks.checked(vertices="V 3", faces="F 3 < V")
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V,) a third of the triangles around each vertex."""
     thirds = np.repeat(triangle_areas(vertices, faces) / 3, 3)
     return np.bincount(faces.ravel(), thirds, minlength=len(vertices))
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
-    array = array.copy()
-    array.flags.writeable = False
-    return array
-
-
-@checked(vertices="V 3", faces="F 3 < V")
+@checks.checked(vertices="V 3", faces="F 3 < V")
 def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F,) in the square of the vertices' unit."""
     a, b, c = vertices[faces.T]  # (F, 3) each

@@ -14,7 +14,6 @@ from scipy.linalg import expm, schur
 
 from fmsync import checks
 from fmsync.block_products import add_to, products
-from fmsync.checks import checked, unchecked
 
 # Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
 _SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
@@ -43,7 +42,7 @@ def skew(a: np.ndarray) -> np.ndarray:
     return (a - transpose(a)) / 2
 
 
-@checked(c="... n n rotations", v="... n n")
+@checks.checked(c="... n n rotations", v="... n n")
 def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
     r"""Project ambient vectors V (..., n, n) onto the tangent spaces at rotations C (..., n, n).
 
@@ -52,7 +51,7 @@ def tangent(c: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v - c @ sym(transpose(c) @ v)
 
 
-@checked(a="... n n")
+@checks.checked(a="... n n")
 def project(a: np.ndarray) -> np.ndarray:
     r"""Nearest rotation in the Frobenius norm: :math:`U\,\mathrm{diag}(1,\dots,1,\det(UV^\top))\,V^\top`.
 
@@ -70,7 +69,7 @@ def project(a: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-@checked(a="... n n")
+@checks.checked(a="... n n")
 def qf(a: np.ndarray) -> np.ndarray:
     r"""Q factor of A = QR with the diagonal of R made positive: the paper's retraction :math:`R_C(\xi) = qf(C + \xi)`.
 
@@ -82,13 +81,13 @@ def qf(a: np.ndarray) -> np.ndarray:
     return q * sign[..., None, :]
 
 
-@checked(omega="... n n skew")
+@checks.checked(omega="... n n skew")
 def exp(omega: np.ndarray) -> np.ndarray:
     """Matrix exponential of skew-symmetric (..., n, n): the geodesic from I, by SciPy's scaling and squaring."""
     return expm(omega)
 
 
-@checked(omega="... n n skew")
+@checks.checked(omega="... n n skew")
 def cayley(omega: np.ndarray) -> np.ndarray:
     r"""Cayley retraction :math:`(I - \Omega/2)^{-1}(I + \Omega/2)` of skew-symmetric (..., n, n).
 
@@ -98,7 +97,7 @@ def cayley(omega: np.ndarray) -> np.ndarray:
     return np.linalg.solve(identity - omega / 2, identity + omega / 2)
 
 
-@checked(r="... n n rotations")
+@checks.checked(r="... n n rotations")
 def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
@@ -179,7 +178,7 @@ def _log_schur(r: np.ndarray) -> np.ndarray:
     return skew(z @ block @ z.T)
 
 
-@checked(a="... n n rotations", b="... n n rotations")
+@checks.checked(a="... n n rotations", b="... n n rotations")
 def dist(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     r"""Geodesic distance :math:`\lVert\log(A^\top B)\rVert_F` between rotations, without forming the logarithm.
 
@@ -200,7 +199,7 @@ def _lengths(name: str, size: object) -> tuple[int, ...]:
     return tuple(checks.count(name, k, 0) for k in (size if isinstance(size, Iterable) else (size,)))
 
 
-@checked(size=_lengths)
+@checks.checked(size=_lengths)
 def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.random.Generator = 0) -> np.ndarray:
     """Haar-uniform rotations ``(*size, n, n)``: the sign-adjusted Q of a Gaussian, one column flipped if det < 0."""
     shape = tuple(size) if isinstance(size, Iterable) else (size,)
@@ -209,7 +208,7 @@ def random_uniform(n: int, size: int | tuple[int, ...] = (), rng: int | np.rando
     return q
 
 
-@checked(rotations="K ... n n rotations", tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(rotations="K ... n n rotations", tolerance=checks.not_negative, max_iterations=">= 0")
 def frechet_mean(
     rotations: np.ndarray, *, distance: str = "geodesic", tolerance: float = 1e-10, max_iterations: int = 100
 ) -> np.ndarray:
@@ -247,5 +246,6 @@ def frechet_mean(
 
 
 # without the tests of arguments: for loops inside the library
-project_unchecked, qf_unchecked, exp_unchecked = unchecked(project), unchecked(qf), unchecked(exp)
-cayley_unchecked, log_unchecked, dist_unchecked = unchecked(cayley), unchecked(log), unchecked(dist)
+project_unchecked, qf_unchecked = checks.unchecked(project), checks.unchecked(qf)
+exp_unchecked, log_unchecked = checks.unchecked(exp), checks.unchecked(log)
+cayley_unchecked, dist_unchecked = checks.unchecked(cayley), checks.unchecked(dist)

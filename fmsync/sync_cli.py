@@ -81,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
     from fmsync.mesh_io import mesh_files, read_shape
 
     _check(options)
-    chosen = options.calibration
-    calibration = default_calibration() if chosen is None else ConformalCalibration.load(chosen)
+    own = options.calibration
+    calibration = default_calibration() if own is None else ConformalCalibration.load(own)
     calibration.scale(options.level)
     files = mesh_files(options.meshes)
     names = file_names([file.stem for file in files])
@@ -99,13 +99,9 @@ def run(options: argparse.Namespace) -> int:
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
-            given = {
-                "maps": maps,
-                "landmarks": landmarks,
-                "graph": options.graph,
-                "drop_outliers": options.drop_outliers,
-            }
-            synced = fmsync.matching.synchronize_shapes(shapes, **given, **counts, **stage)
+            chosen = {name: getattr(options, name) for name in ("graph", "drop_outliers")}
+            given = {"maps": maps, "landmarks": landmarks, **chosen, **counts, **stage}
+            synced = fmsync.matching.synchronize_shapes(shapes, **given)
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()

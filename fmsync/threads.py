@@ -5,10 +5,7 @@ from functools import cache
 
 from threadpoolctl import ThreadpoolController
 
-
-@cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()  # looking through the loaded libraries takes milliseconds, so it is done once
+_controller = cache(ThreadpoolController)  # looking through the loaded libraries takes milliseconds: done once
 
 
 def single_threaded_blas() -> AbstractContextManager[object]:

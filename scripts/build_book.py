@@ -48,14 +48,6 @@ def cpu_of_kernels() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def date_of_the_text() -> str | None:
-    """Seconds since 1970 of the last commit, which pages then carry as their date; None without git or a repository."""
-    if shutil.which("git") is None:
-        return None
-    told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
-    return told.stdout.strip() or None
-
-
 def quiet_profile(folder: Path, extension: Path | None = None) -> str:
     """A folder for IPython that is nobody's own: kernels tell of errors there, not of the sockets they talk through.
 
@@ -75,8 +67,10 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="chapters executed at the same time")
     jobs = parser.parse_args().jobs
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the built pages share one viewer file
-    if date := date_of_the_text():
-        os.environ.setdefault("SOURCE_DATE_EPOCH", date)  # the same commit renders to the same bytes
+    if shutil.which("git"):  # pages carry the date of the last commit: the same commit renders to the same bytes
+        told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
+        if date := told.stdout.strip():
+            os.environ.setdefault("SOURCE_DATE_EPOCH", date)
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     os.utime(folder)

@@ -12,6 +12,7 @@ import os
 import warnings
 
 import numpy as np
+from IPython.core.interactiveshell import InteractiveShell
 
 _ORDER = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
 _OTHER = {"Eq": operator.eq, "NotEq": operator.ne, "In": lambda a, b: a in b, "NotIn": lambda a, b: a not in b}
@@ -69,7 +70,7 @@ def _numbers(x) -> np.ndarray:
         return np.array(np.nan)
 
 
-def load_ipython_extension(shell) -> None:
+def load_ipython_extension(shell: InteractiveShell) -> None:
     """Record the claims and the convergence warnings of this kernel."""
     path = os.environ["FMSYNC_CLAIMS"]
 
@@ -79,7 +80,7 @@ def load_ipython_extension(shell) -> None:
 
     told = warnings.showwarning
 
-    def showwarning(message, category, *rest, **more) -> None:
+    def showwarning(message: Warning | str, category: type[Warning], *rest, **more) -> None:
         if category.__name__ == "ConvergenceWarning":
             write({"warning": str(message)})
         told(message, category, *rest, **more)

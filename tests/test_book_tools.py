@@ -162,9 +162,8 @@ def test_the_picture_tells_the_truth():
 
 
 def test_licences_name_each_package_once_and_what_is_not_installed():
-    licences = _load("book/_ext/fmsync_licences.py")
     extras = {"a": ["tqdm"], "own": ["fmsync[viz]"]}
-    rows = licences.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
+    rows = status.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| no_such", "| tqdm"]
     assert rows[2].endswith("| – | – |")
     assert rows[3].startswith("| tqdm | core | ")

@@ -25,7 +25,7 @@ from fmsync.matching.samples import SampledShape
 from tests.surfaces import icosphere
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = """so langevin energy bounds calibration diagnostics oracle functional_maps descriptors shape uncertainty
+MODULES = """so langevin energy bounds calibration diagnostics oracle functional_maps descriptors shape
     problem estimators samplers matching mesh_io viz""".split()  # noqa: SIM905
 SLOW = 2.0  # seconds, of one call
 
@@ -223,8 +223,7 @@ class Valid:
             },
             "fmsync.shape.Basis.coefficients": {"functions": rng.random((n_vertices, 2))},
             "fmsync.shape.Basis.with_flipped": {"k": 2},
-            "fmsync.uncertainty.vertex_images": {"relative_draws": rng.random((6, 5, 5)), "vertex": 3},
-            "fmsync.uncertainty.image_density": {"images": order[:5], "n_vertices": n_vertices},
+            "fmsync.functional_maps.vertex_images": {"relative_draws": rng.random((6, 5, 5)), "vertex": 3},
             "fmsync.problem.LangevinPrior": {"mean": c, "kappa": np.ones(4)},
             "fmsync.problem.fix_gauge": {"node": 1},
             "fmsync.estimators.rectangular.RectangularSyncProblem": {

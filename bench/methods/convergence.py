@@ -16,13 +16,13 @@ def convergence(problem: SyncProblem, *, rng: Rng, of: str = "mle", on_group: bo
     """``of`` with the maps it passed through; ``on_group`` False reads relative maps as inverses, not transposes."""
     states = []
 
-    def keep(iteration, absolute, cost, gradient_norm):
+    def keep(iteration: int, absolute: np.ndarray, cost: float, gradient_norm: float):
         if iteration <= _MOST_STEPS:
             states.append((iteration, absolute.copy()))
 
     estimate = estimators.solve(problem, of, rng=rng, callback=keep, **options)
 
-    def relative(absolute, pairs):
+    def relative(absolute: np.ndarray, pairs: np.ndarray):
         if on_group:
             return relative_maps(absolute, pairs)
         return np.linalg.solve(absolute[pairs[:, 0]], absolute[pairs[:, 1]])

@@ -4,6 +4,8 @@ pyFM's map (i, j) takes functions on i to functions on j, so our C_ij is its map
 :math:`C_{ij} = Y_i Y_j^{-1}`.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse
 
@@ -37,19 +39,12 @@ def pyfm_network(problem: SyncProblem, *, rng: Rng, projected: bool = False, wei
     return Answer(lambda pairs: bases[pairs[:, 0]] @ np.linalg.inv(bases[pairs[:, 1]]))
 
 
-def cycle_error_of(problem: SyncProblem, *, fixed: bool) -> float:
-    """Largest 3-cycle error that pyFM sees in the observed maps, in its own order of composition or the right one."""
-    network = shape_network(problem, fixed)
-    network.extract_3_cycles()
-    return max(network.get_cycle_weight(cycle, M=problem.n) for cycle in network.cycles)
-
-
 def shape_network(problem: SyncProblem, fixed: bool):
     """The problem as pyFM sees it."""
     network_class = require("pyFM.FMN", "bench").FMN
 
     class RightOrder(network_class):
-        def get_cycle_weight(self, cycle, M=None):
+        def get_cycle_weight(self, cycle: tuple[int, int, int], M: int | None = None):
             i, j, k = cycle
             c_ij, c_jk, c_ki = (self.maps[edge][:M, :M] for edge in ((i, j), (j, k), (k, i)))
             loops = (c_ki @ c_jk @ c_ij, c_ij @ c_ki @ c_jk, c_jk @ c_ij @ c_ki)  # i -> j -> k -> i, and from j, from k
@@ -59,14 +54,14 @@ def shape_network(problem: SyncProblem, fixed: bool):
     return network.set_maps(to_pyfm_maps(problem))
 
 
-def has_cycles(network) -> bool:
+def has_cycles(network: Any) -> bool:
     """Whether pyFM finds a 3-cycle to be consistent about."""
     network.extract_3_cycles()
     network.compute_Amat()
     return bool(network.cycles)
 
 
-def latent_bases(network, rng: np.random.Generator) -> np.ndarray:
+def latent_bases(network: Any, rng: np.random.Generator) -> np.ndarray:
     """(N, n, n): ``FMN.compute_CLB`` with a start vector, without which the same input gives different bits."""
     size = network.W.shape[0]
     mass = scipy.sparse.eye(size) / network.n_meshes

@@ -1,5 +1,6 @@
 """Are the regions of the pipeline for own shapes as likely as they say, and do they find the wrong vertices?"""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,7 +129,7 @@ def planted(loaded: dict[str, list[Shape]]) -> dict:
     return {name: {"coverage under planted noise": planted_noise(found)} for name, found in synced.items()}
 
 
-def planted_noise(synced: SyncedShapes, kappas=(50.0, 200.0, 800.0), seeds: int = 2) -> dict[str, dict[str, float]]:
+def planted_noise(synced: SyncedShapes, kappas: Sequence[float] = (50.0, 200.0, 800.0), seeds: int = 2) -> dict:
     """Share of samples whose image under the true map lies in its region, by concentration and level."""
     truth = GroundTruth(synced.estimate.absolute, synced.edges, np.empty(0))
     turn, found = basis_signs(synced.signs, truth.n)[:, None], {}

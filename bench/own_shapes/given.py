@@ -46,27 +46,19 @@ def starts(shapes: list[Shape], vertices: np.ndarray) -> dict[str, dict]:
     given = {
         "fit": (fits, None),
         "ZoomOut": (refined, None),
-        "ZoomOut, shuffled": (_where(spoiled, [rng.permutation(p) for p in points], points), spoiled),
+        "ZoomOut, shuffled": ([rng.permutation(p) if s else p for s, p in zip(spoiled, points)], spoiled),
         "soft, too hot": ([_soft(c, bases[i], bases[j]) for (i, j), c in zip(pairs, refined)], None),
     }
     if isinstance(shapes[0], Creature):
-        mirrored = [image[shapes[i].located[shapes[i].opposite]] for image, (i, _) in zip(points, pairs)]
-        given["ZoomOut, mirrored"] = (_where(spoiled, mirrored, points), spoiled)
+        turns = [shapes[i].located[shapes[i].opposite] if s else slice(None) for s, (i, _) in zip(spoiled, pairs)]
+        given["ZoomOut, mirrored"] = ([image[turn] for image, turn in zip(points, turns)], spoiled)
     found = {}
     for name, (maps, wrong) in given.items():
         named = dict(zip(pairs, maps))
-        options = {} if np.ndim(maps[0]) == 1 or sp.issparse(maps[0]) else {"bases": bases}
+        options = {"maps": named, "n_basis": _N_BASIS, "n_refined": _N_REFINED, "n_draws": 40}
+        options |= {} if np.ndim(maps[0]) == 1 or sp.issparse(maps[0]) else {"bases": bases}
         with diagnostics.short_run():  # scores do not depend on draws
-            seen = observe(
-                shapes,
-                levels=(),
-                vertices=vertices,
-                maps=named,
-                n_basis=_N_BASIS,
-                n_refined=_N_REFINED,
-                n_draws=40,
-                **options,
-            )
+            seen = observe(shapes, levels=(), vertices=vertices, **options)
         before = [_error(seen.evaluation, bases, pair, c) for pair, c in named.items()]
         y = seen.synced.refined
         after = [float(seen.evaluation.errors(i, j, y[i], y[j]).mean()) for i, j in pairs]
@@ -104,10 +96,6 @@ def _soft(c_ij: np.ndarray, basis_i, basis_j) -> sp.csr_array:
     weight /= weight.sum(axis=1, keepdims=True)
     rows = np.repeat(np.arange(len(at_i)), _NEIGHBOURS)
     return sp.csr_array((weight.ravel(), (rows, image.ravel())), shape=(len(at_i), len(at_j)))
-
-
-def _where(wrong: np.ndarray, spoiled: list, right: list) -> list:
-    return [bad if is_wrong else good for is_wrong, bad, good in zip(wrong, spoiled, right)]
 
 
 def _error(evaluation: Evaluation, bases: list, pair: tuple[int, int], given) -> float:

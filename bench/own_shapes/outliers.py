@@ -7,12 +7,11 @@ import itertools
 from collections.abc import Iterable
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pandas as pd
 
+from bench.studies import kept_results
 from data_gen import load_collection
-from fmsync.files import replacing
 from fmsync.matching.outliers import BOTH, SPECTRUM, differences, groups, spectral_distances
 from fmsync.matching.pairwise import FINE, match
 from fmsync.matching.samples import sample_shape
@@ -55,31 +54,23 @@ def half(shape: Shape) -> Shape:
     return Shape(np.asarray(mesh.points, dtype=float), mesh.regular_faces, "half")
 
 
-def distances(number: int, folder: Path) -> dict[str, np.ndarray]:
-    """Spectral distances and distortions (N, N) of the shapes of a folder, and their kinds, kept in ``folder``.
+def distances(number: int) -> dict[str, np.ndarray]:
+    """Spectral distances and distortions (N, N) of the shapes of a folder, and their kinds.
 
     Spheres are not matched, which are found by their spectra.
     """
-    file = folder / f"{number}.npz"
-    if not file.is_file():
-        shapes, kinds = mixed(number)
-        sampled = [sample_shape(s, FINE, _SAMPLES) for s in shapes]
-        light = [s.light(FINE) for s in sampled]
-        edges = np.array(list(itertools.combinations(range(len(shapes) - 1), 2)))
-        matches = [match(light[i], light[j]) for i, j in edges]
-        folder.mkdir(parents=True, exist_ok=True)
-        with replacing(file) as stream:
-            found = {"spectra": spectral_distances(sampled), "both": differences(sampled[:-1], edges, matches)}
-            np.savez(stream, kinds=kinds, **found)
-    with np.load(file) as kept:
-        return dict(kept)
+    shapes, kinds = mixed(number)
+    sampled = [sample_shape(s, FINE, _SAMPLES) for s in shapes]
+    light = [s.light(FINE) for s in sampled]
+    edges = np.array(list(itertools.combinations(range(len(shapes) - 1), 2)))
+    both = differences(sampled[:-1], edges, [match(light[i], light[j]) for i, j in edges])
+    return {"kinds": kinds, "spectra": spectral_distances(sampled), "both": both}
 
 
-def shapes_named(numbers: Iterable[int], folder: Path, jobs: int = 2) -> pd.DataFrame:
-    """Whether each shape of the folders, and of each species alone, is called an outlier."""
+def shapes_named(numbers: Iterable[int], folder: Path) -> pd.DataFrame:
+    """Whether each shape of the folders, and of each species alone, is called an outlier; what was seen is kept."""
     rows = []
-    kept = joblib.Parallel(jobs)(joblib.delayed(distances)(k, folder) for k in numbers)
-    for number, seen in zip(numbers, kept):
+    for number, seen in zip(numbers, kept_results(distances, numbers, folder)):
         own = seen["kinds"] == "own"
         for alone, keep in ((False, np.full(len(own), True)), (True, own)):
             spectra, both = seen["spectra"][np.ix_(keep, keep)], seen["both"][np.ix_(keep[:-1], keep[:-1])]
@@ -102,6 +93,5 @@ def table(folder: Path) -> dict:
 
 
 def _share(rows: pd.DataFrame) -> dict[str, float]:
-    of_folder = rows.groupby("species")["named"].mean()
-    error = of_folder.std(ddof=1) / np.sqrt(len(of_folder))
-    return {"mean": float(rows["named"].mean()), "se": float(error), "shapes": len(rows), "folders": len(of_folder)}
+    of_folder, mean = rows.groupby("species")["named"].mean(), float(rows["named"].mean())
+    return {"mean": mean, "se": float(of_folder.sem()), "shapes": len(rows), "folders": len(of_folder)}

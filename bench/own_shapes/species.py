@@ -6,39 +6,33 @@ Species 1000, 1001, ... are for fitting and for choices that were made on the wa
 from collections.abc import Iterable
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pandas as pd
 
 from bench.own_shapes.confidence import LEVELS, observe
 from bench.own_shapes.evaluation import species
+from bench.studies import kept_results
 from fmsync import diagnostics
-from fmsync.files import replacing
 from fmsync.matching import Confidence, ConformalCalibration, fit_conformal
 
 TEST, FIT = range(40), range(1000, 1100)
 _FOLDS = 10
 
 
-def points(number: int, folder: Path) -> pd.DataFrame:
-    """Score and true error of some vertices of every pair of a species, kept in ``folder``."""
-    file = folder / f"{number}.parquet"
-    if not file.is_file():
-        with diagnostics.short_run():  # scores do not depend on draws
-            seen = observe(species(number), levels=(), n_draws=40)
-        rows = [
-            pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
-            for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
-        ]
-        folder.mkdir(parents=True, exist_ok=True)
-        with replacing(file) as stream:
-            pd.concat(rows).assign(species=number).astype("float32").to_parquet(stream)
-    return pd.read_parquet(file)
+def points(number: int) -> pd.DataFrame:
+    """Score and true error of some vertices of every pair of a species."""
+    with diagnostics.short_run():  # scores do not depend on draws
+        seen = observe(species(number), levels=(), n_draws=40)
+    rows = [
+        pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
+        for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
+    ]
+    return pd.concat(rows).assign(species=number).astype("float32")
 
 
-def all_points(numbers: Iterable[int], folder: Path, jobs: int = 2) -> pd.DataFrame:
-    """Those of many species."""
-    return pd.concat(joblib.Parallel(jobs)(joblib.delayed(points)(k, folder) for k in numbers), ignore_index=True)
+def all_points(numbers: Iterable[int], folder: Path) -> pd.DataFrame:
+    """Those of many species, kept in ``folder``."""
+    return pd.concat(kept_results(points, numbers, folder), ignore_index=True)
 
 
 def fitted(rows: pd.DataFrame) -> ConformalCalibration:

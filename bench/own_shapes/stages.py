@@ -7,6 +7,7 @@ import numpy as np
 import fmsync
 from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pairs
 from bench.studies import cpu_seconds
+from fmsync.adapters import to_pyfm
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.latent import sizes, upsample
@@ -50,12 +51,12 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     pairs, rng, light = some_pairs(len(shapes)), np.random.default_rng(0), [s.light(FINE) for s in shapes]
     seconds: dict[str, float] = {}
 
-    def synchronised(matches):
+    def synchronised(matches: list):
         estimate, signs, _, problem = network.robust_maps(len(shapes), edges, matches, n, rng)
         turn = network.basis_signs(signs, n)[:, None]
         return estimate.absolute * turn, problem, turn
 
-    def relative(absolute) -> Callable:
+    def relative(absolute: np.ndarray) -> Callable:
         return lambda i, j: absolute[i].T @ absolute[j]
 
     matches = [match(light[i], light[j]) for i, j in edges]
@@ -95,17 +96,11 @@ def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, err
     """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of our maps before and after synchronisation."""
     from pyFM.FMN import FMN
     from pyFM.functional import FunctionalMapping
-    from pyFM.mesh import TriMesh
     from pyFM.refine.zoomout import zoomout_refine
-    from scipy import sparse
 
     n, m, edges, pairs = synced.problem.n, synced.refined.shape[-1], synced.edges, some_pairs(len(synced.shapes))
-    fine, samples, meshes = min(FINE, m), np.array([s.samples for s in synced.shapes]), []
-    for s in synced.shapes:
-        mesh = TriMesh(s.shape.vertices, s.shape.faces)
-        mesh.eigenvalues, mesh.eigenvectors = np.array(s.basis.eigenvalues), np.array(s.basis.eigenfunctions)
-        mesh.A = sparse.dia_matrix((s.basis.mass[None], [0]), shape=(len(s.basis.mass),) * 2).tocsc()
-        meshes.append(mesh)
+    fine, samples = min(FINE, m), np.array([s.samples for s in synced.shapes])
+    meshes = [to_pyfm(s.shape, s.basis) for s in synced.shapes]
 
     def fit(i: int, j: int) -> np.ndarray:
         model = FunctionalMapping(meshes[j], meshes[i])  # pyFM maps from its first mesh: our C_ij has j first

@@ -49,7 +49,7 @@ def _watched(problem: SyncProblem, plain: Any, recorder: Recorder) -> Any:
 
     ambient = pymanopt.function.numpy(plain.manifold)
 
-    def gradient(c):
+    def gradient(c: np.ndarray):
         found = plain.euclidean_gradient(c)
         norm = np.linalg.norm(plain.manifold.euclidean_to_riemannian_gradient(c, found))
         recorder(c, problem.constant + np.vdot(c, found) / 2, norm)
@@ -70,7 +70,7 @@ def _by_autograd(problem: SyncProblem, manifold) -> Any:
     i, j = problem.edges.T
 
     @pymanopt.function.autograd(manifold)
-    def cost(c):
+    def cost(c: Any):
         residual = anp.matmul(c[i], problem.maps) - c[j]
         return anp.sum(problem.weights[:, None, None] * residual**2)
 

@@ -11,8 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from bench import methods
-from bench.cache import key_of
-from bench.code import code_hash, data_hash
+from bench.cache import code_hash, data_hash, key_of
 from fmsync.registry import near_names
 
 _FOLDER = Path(__file__).parent
@@ -164,7 +163,9 @@ class _Reader:
             used = {method for method, _ in entries.values()}
             entries |= {label: self._entry(label) for label in self._extra if label not in used}
             limits, most = (float(told["seconds"]), float(told["memory"])), told["seeds"]
-            for problem in _sweep(grid["problem"]):  # problem by problem: a worker makes each once
+            choices = [value if isinstance(value, list) else [value] for value in grid["problem"].values()]
+            for values in itertools.product(*choices):  # problem by problem: a worker makes each once
+                problem = dict(zip(grid["problem"], values))
                 for seed in range(min(seeds or most, most)):
                     for label, (method, options) in entries.items():
                         file = self._extra.get(method)
@@ -202,9 +203,3 @@ class _Reader:
         pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")
         lines = (number for number, line in enumerate(self._text.splitlines(), 1) if pattern.search(line))
         return f"{self._path}, line {next(lines, 1)}"
-
-
-def _sweep(problem: Mapping[str, object]) -> list[dict]:
-    """Every combination of the values that are lists."""
-    choices = [value if isinstance(value, list) else [value] for value in problem.values()]
-    return [dict(zip(problem, combination)) for combination in itertools.product(*choices)]

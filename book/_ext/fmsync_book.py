@@ -6,6 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
+from sphinx.application import Sphinx
 from sphinx.util.fileutil import copy_asset_file
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,7 +98,7 @@ def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[s
     ]
 
 
-def setup(app):
+def setup(app: Sphinx):
     app.connect("config-inited", _configure)
     app.connect("builder-inited", _copy_assets)
     app.connect("html-page-context", _finish_page, priority=900)

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 from docutils import nodes
+from sphinx.application import Sphinx
 from sphinx.errors import SphinxError
 from sphinx.util.docutils import SphinxDirective
 
@@ -57,6 +58,6 @@ class Stages(SphinxDirective):
         return [nodes.raw("", row, format="html")]
 
 
-def setup(app):
+def setup(app: Sphinx):
     app.add_directive("stages", Stages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

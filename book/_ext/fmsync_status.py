@@ -1,18 +1,24 @@
-"""Sphinx extension of this book: the tables of the status page, from the cache and from results/worlds.json."""
+"""Directives of the reference pages: ``fm-status`` and ``fm-worlds``, from the cache and from results/worlds.json,
+``fm-licences`` of what the project depends on, and ``figures``, each with the first sentence of its caption.
+"""
 
 import json
 import os
 import platform
+import re
+import tomllib
 from contextlib import suppress
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 
 import yaml
-from docutils.nodes import Node
+from docutils import nodes
 from jupyter_cache import get_cache
 from myst_nb.core.read import read_myst_markdown_notebook
 from nbformat import NotebookNode
+from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.util.nodes import make_refnode
 
 from bench.provenance import machine
 
@@ -45,14 +51,14 @@ def notebook_of(page: Path) -> NotebookNode:
 class Status(SphinxDirective):
     """Chapters with seconds and result, then versions, machine and shapes, as Markdown of the page."""
 
-    def run(self) -> list[Node]:
+    def run(self) -> list[nodes.Node]:
         return self.parse_text_to_nodes("\n".join(status_table(pages(), records())))
 
 
 class Worlds(SphinxDirective):
     """Chapters by worlds: whether every claim held, or which one failed."""
 
-    def run(self) -> list[Node]:
+    def run(self) -> list[nodes.Node]:
         file = ROOT / "results" / "worlds.json"
         self.env.note_dependency(str(file))
         return self.parse_text_to_nodes("\n".join(worlds_table(json.loads(file.read_text(encoding="utf-8")))))
@@ -117,7 +123,76 @@ def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
     return [*lines, f"- **Versions:** {', '.join(f'{library} {version(library)}' for library in _LIBRARIES)}"]
 
 
-def setup(app):
+class Licences(SphinxDirective):
+    """Packages that pyproject.toml names, by extra, with version and licence as their own metadata tells them."""
+
+    def run(self) -> list[nodes.Node]:
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        self.env.note_dependency(str(ROOT / "pyproject.toml"))
+        return self.parse_text_to_nodes("\n".join(licence_table(project)))
+
+
+def licence_table(project: dict) -> list[str]:
+    """Lines of Markdown: a row for each package, in the first extra that asks for it."""
+    lines, seen = ["| package | needed by | version | licence |", "| --- | --- | --- | --- |"], {"fmsync"}
+    for extra, wanted in {"core": project["dependencies"], **project["optional-dependencies"]}.items():
+        for name in sorted(re.match(r"[\w.-]+", requirement)[0] for requirement in wanted):
+            if name not in seen:
+                seen.add(name)
+                lines.append(f"| {name} | {extra} | {' | '.join(version_and_licence(name))} |")
+    return lines
+
+
+def version_and_licence(name: str) -> tuple[str, str]:
+    """From the metadata of an installed package: its licence expression, else its classifiers, else a short text."""
+    try:
+        told = metadata(name)
+    except PackageNotFoundError:
+        return "–", "–"
+    classifiers = [c.rpartition(" :: ")[2] for c in told.get_all("Classifier") or [] if c.startswith("License ::")]
+    text = (told.get("License") or "").strip().partition("\n")[0]
+    return told["Version"], told.get("License-Expression") or ", ".join(classifiers) or text or "not stated"
+
+
+class figure_list(nodes.General, nodes.Element):
+    """Stands where the list will be, until all pages are read and numbered."""
+
+
+class Figures(SphinxDirective):
+    def run(self):
+        return [figure_list()]
+
+
+def _pages_below(env, page):
+    """A page and those below it, in the order of the contents."""
+    yield page
+    for below in env.toctree_includes.get(page, ()):
+        yield from _pages_below(env, below)
+
+
+def _fill(app, doctree, docname):
+    for place in doctree.findall(figure_list):
+        rows = nodes.bullet_list()
+        for page in _pages_below(app.env, app.config.root_doc):
+            numbers = app.env.toc_fignumbers.get(page, {}).get("figure", {})
+            for figure in app.env.get_doctree(page).findall(nodes.figure):
+                label = next((i for i in figure["ids"] if i in numbers), None)
+                caption = next(iter(figure.findall(nodes.caption)), None)
+                if label and caption is not None:
+                    number = ".".join(map(str, numbers[label]))
+                    first = re.match(r".*?[.:](?=\s|$)|.*", caption.astext().replace("\n", " "))[0].rstrip(":")
+                    row = nodes.paragraph("", "")
+                    row += make_refnode(app.builder, docname, page, label, nodes.Text(f"Fig. {number}"))
+                    row += nodes.Text(f" {first}")
+                    rows += nodes.list_item("", row)
+        place.replace_self(rows if len(rows) else [])
+
+
+def setup(app: Sphinx):
     app.add_directive("fm-status", Status)
     app.add_directive("fm-worlds", Worlds)
+    app.add_directive("fm-licences", Licences)
+    app.add_directive("figures", Figures)
+    app.add_node(figure_list)
+    app.connect("doctree-resolved", _fill)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

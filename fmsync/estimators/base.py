@@ -10,7 +10,6 @@ from scipy.special import fdtri
 
 from fmsync import checks, so
 from fmsync.bounds import effective_resistance
-from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as energy
 from fmsync.problem import SyncProblem
 from fmsync.problem import fix_gauge_unchecked as fix_gauge
@@ -100,7 +99,7 @@ class Estimate:
         return 0 if self.trace is None else len(self.trace.cost) - 1
 
     @classmethod
-    @checked(absolute="N n n")
+    @checks.checked(absolute="N n n")
     def from_absolute(
         cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields: Any
     ) -> "Estimate":
@@ -111,7 +110,7 @@ class Estimate:
         fields.setdefault("cost", float(energy(problem, absolute)))
         return cls(problem, method, absolute, **fields)
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
         r"""Relative maps (E, n, n): :math:`C_i^\top C_j` on the group, :math:`C_i^{-1} C_j` off it.
 
@@ -122,7 +121,7 @@ class Estimate:
             return relative_maps(self.absolute, edges)
         return np.linalg.solve(self.absolute[edges[:, 0]], self.absolute[edges[:, 1]])
 
-    @checked(edges="K 2 < N", level=checks.probability)
+    @checks.checked(edges="K 2 < N", level=checks.probability)
     def confidence_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         r"""Centres (K, n, n) and radii (K,) of balls that hold each true relative map with probability ``level``.
 

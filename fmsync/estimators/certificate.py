@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
+from fmsync import checks
 from fmsync.block_products import products
-from fmsync.checks import checked
 from fmsync.energy import energy_unchecked as energy
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.energy import transposed_sums_unchecked as transposed_sums
@@ -36,7 +36,7 @@ class Certificate:
     gap_bound: float
 
 
-@checked()
+@checks.checked()
 def certify(problem: SyncProblem, estimate: Estimate | np.ndarray) -> Certificate:
     r"""Certificate of global optimality of the Euclidean energy over :math:`O(n)^N`, hence over :math:`SO(n)^N`.
 

@@ -3,14 +3,13 @@
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, estimator
 from fmsync.estimators.mle import mle
 from fmsync.problem import LangevinPrior, SyncProblem, anchored, fix_gauge
 
 
 @estimator("map")
-@checked(kappa=checks.positive, tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(kappa=checks.positive, tolerance=checks.not_negative, max_iterations=">= 0")
 def maximum_a_posteriori(
     problem: SyncProblem,
     *,

@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Rotations, minimise
@@ -15,7 +14,7 @@ _TOLERANCE = 1e-6
 
 
 @estimator("mle")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle(
     problem: SyncProblem,
     *,

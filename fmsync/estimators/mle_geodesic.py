@@ -6,7 +6,6 @@ import numpy as np
 
 from fmsync import checks, so
 from fmsync.bounds import grounded_laplacian
-from fmsync.checks import checked
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator
 from fmsync.estimators.starts import starting_point
 from fmsync.problem import SyncProblem
@@ -20,7 +19,7 @@ _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 
 
 @estimator("mle-geodesic")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle_geodesic(
     problem: SyncProblem,
     *,

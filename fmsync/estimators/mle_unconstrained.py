@@ -5,7 +5,6 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.energy import gram_blocks
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
@@ -15,7 +14,7 @@ from fmsync.so import transpose
 
 
 @estimator("mle-unconstrained")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def mle_unconstrained(
     problem: SyncProblem,
     *,
@@ -35,7 +34,10 @@ def mle_unconstrained(
     checks.one_of("solver", solver, ("exact", "iterative"))
     if solver == "exact":
         checks.unused("with solver='exact'", tolerance=(tolerance, 1e-6), max_iterations=(max_iterations, 500))
-        absolute = np.concatenate([np.eye(problem.n)[None], _exact(problem)])
+        k, b = precision(problem)
+        factor = splu(k, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
+        solved = transpose(factor.solve(b).reshape(problem.n_nodes - 1, problem.n, problem.n))  # C_2..C_N
+        absolute = np.concatenate([np.eye(problem.n)[None], solved])
         cost = float(unconstrained_energy(problem, absolute))
         half_gradient = absolute @ gram_blocks(problem) - neighbour_sums(problem, absolute)
         callback(0, absolute, cost, float(2 * np.linalg.norm(half_gradient[1:])))
@@ -61,13 +63,6 @@ def precision(problem: SyncProblem) -> tuple[sp.csc_matrix, np.ndarray]:
     entry_columns = (n * columns[:, None, None] + b).ravel()
     whole = sp.csc_matrix((blocks.ravel(), (entry_rows, entry_columns)), shape=(n_nodes * n, n_nodes * n))
     return whole[n:, n:].tocsc(), -whole[n:, :n].toarray()
-
-
-def _exact(problem: SyncProblem) -> np.ndarray:
-    """C_2..C_N (N-1, n, n) at the minimum."""
-    k, b = precision(problem)
-    factor = splu(k, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
-    return transpose(factor.solve(b).reshape(problem.n_nodes - 1, problem.n, problem.n))
 
 
 def _conjugate_gradients(

@@ -20,7 +20,6 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.estimators.base import Trace
 from fmsync.estimators.trust_region import Point, minimise
 from fmsync.so import sym, transpose
@@ -46,7 +45,7 @@ class RectangularSyncProblem:
     weights: np.ndarray
     sizes: np.ndarray = field(init=False, repr=False)
 
-    @checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
+    @checks.checked(n_nodes=">= 2", edges=checks.plain, maps=checks.real, weights=checks.real)
     def __init__(
         self, n_nodes: int, edges: ArrayLike, maps: Iterable[ArrayLike], weights: ArrayLike | None = None
     ) -> None:
@@ -69,11 +68,7 @@ class RectangularSyncProblem:
                     before = f"edge {first[node]} gave it {sizes[node]}; use one basis per shape"
                     raise ValueError(f"maps: {name} gives node {node} {size} basis functions, {before}")
             observed.setflags(write=False)
-        object.__setattr__(self, "n_nodes", n_nodes)
-        for name, value in (("edges", edges), ("maps", checked), ("weights", weights), ("sizes", sizes)):
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        checks.freeze(self, n_nodes=n_nodes, edges=edges, maps=checked, weights=weights, sizes=sizes)
 
     @cached_property
     def padded(self) -> np.ndarray:
@@ -100,7 +95,7 @@ class RectangularEstimate:
     converged: bool
     trace: Trace
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> list[np.ndarray]:
         r"""Relative maps :math:`C_i^\top C_j` (n_i, n_j) of ``edges`` (K, 2), by default the problem's own.
 
@@ -114,7 +109,7 @@ class RectangularEstimate:
                 warnings.warn(f"{message} universe", UserWarning, stacklevel=2)
         return self._relative(self.absolute, self.problem.edges if edges is None else edges)
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def identifiable(self, edges: ArrayLike) -> np.ndarray:
         r"""Whether the observed maps, as fitted, determine the relative maps of pairs ``edges`` (K, 2): (K,) booleans.
 
@@ -182,7 +177,7 @@ class RectangularEstimate:
         return [frames[i].T @ frames[j] for i, j in np.asarray(edges)]
 
 
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,
@@ -215,7 +210,8 @@ def solve_rectangular(
     if not converged:
         message = f"solve_rectangular stopped before its tolerance, gradient norm {trace.gradient_norm[-1]:.2g}"
         warnings.warn(message, RuntimeWarning, stacklevel=3)
-    gauge = _basis(absolute[0][:, : problem.sizes[0]])
+    first = absolute[0][:, : problem.sizes[0]]
+    gauge = np.concatenate([first, np.linalg.svd(first)[0][:, first.shape[1] :]], axis=1)  # (m, m) orthogonal
     frames = tuple(gauge.T @ block[:, :size] for block, size in zip(absolute, problem.sizes))
     return RectangularEstimate(problem, frames, float(trace.cost[-1]), converged, trace)
 
@@ -311,9 +307,3 @@ def _orthonormal(block: np.ndarray) -> np.ndarray:
     """The nearest matrix with orthonormal columns."""
     u, _, vt = np.linalg.svd(block, full_matrices=False)
     return u @ vt
-
-
-def _basis(frame: np.ndarray) -> np.ndarray:
-    """(m, m) orthogonal matrix whose first columns are the frame."""
-    u, _, _ = np.linalg.svd(frame)
-    return np.concatenate([frame, u[:, frame.shape[1] :]], axis=1)

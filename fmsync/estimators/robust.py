@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 
 from fmsync import checks, langevin
-from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import squared_residuals_unchecked as squared_residuals
 from fmsync.estimators.base import Callback, Estimate, Recorder, Trace, estimator
@@ -22,7 +21,7 @@ _SMOOTH = 1e-4  # per unit √n: residuals below it count as squares in the l1 l
 
 
 @estimator("robust")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def robust(
     problem: SyncProblem,
     *,

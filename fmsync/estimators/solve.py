@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.estimators.base import ESTIMATORS, Callback, Estimate
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
@@ -15,7 +14,7 @@ from fmsync.threads import single_threaded_blas
 _FAR = 0.5  # orthogonality error of a map above which its user is warned: a quarter of the rank missing
 
 
-@checked()
+@checks.checked()
 def solve(
     problem: SyncProblem,
     method: str = "mle",
@@ -72,7 +71,6 @@ def best_of_starts(
 
     Its ``n_agreeing`` starts came to its cost up to one part in a million: that all agree suggests a global optimum.
     """
-    checks.count("restarts", restarts)
     inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
     answers = [
         solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))
@@ -80,10 +78,10 @@ def best_of_starts(
     ]
     best = min(answers, key=lambda answer: answer.cost)
     slack = 1e-6 * max(1.0, abs(best.cost))
-    return replace(best, n_starts=int(restarts), n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
+    return replace(best, n_starts=restarts, n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
-@checked()
+@checks.checked()
 def mean_of_starts(
     problem: SyncProblem,
     n_starts: int = 10,

@@ -5,14 +5,13 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
 
 
 @estimator("spanning-tree")
-@checked()
+@checks.checked()
 def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO") -> Estimate:
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
 

@@ -5,7 +5,6 @@ from scipy.linalg import eigh
 
 from fmsync import checks, so
 from fmsync.block_krylov import block_lanczos, orthonormal_rows
-from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
@@ -17,7 +16,7 @@ _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
 @estimator("spectral")
-@checked(tolerance=checks.not_negative)
+@checks.checked(tolerance=checks.not_negative)
 def spectral(
     problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO", tolerance: float = 1e-6
 ) -> Estimate:

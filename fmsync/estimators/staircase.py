@@ -6,7 +6,6 @@ import numpy as np
 
 from fmsync import checks
 from fmsync.block_krylov import block_lanczos, orthonormal_rows
-from fmsync.checks import checked
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
@@ -23,7 +22,7 @@ _LOOSE = 1e-3  # fraction of the gradient that a relaxation may leave: its answe
 
 
 @estimator("staircase")
-@checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
 def staircase(
     problem: SyncProblem,
     *,
@@ -71,7 +70,9 @@ def staircase(
         if inexact <= _SOLVED * (best.cost - lower):
             break
     if lift is not best.absolute:
-        rounded = descend(_rounded(lift, group))
+        leading, _, _ = np.linalg.svd(np.concatenate(list(lift), axis=1), full_matrices=False)
+        blocks = leading[:, : problem.n].T @ lift  # in the n leading directions of the lifts
+        rounded = descend(nearest(common_orientation(blocks) if group == "SO" else blocks, group))
         if rounded.cost < best.cost:
             best, lower = rounded, max(lower, rounded.cost - record(rounded).gap_bound)
     return replace(best, trace=recorder.trace(), lower_bound=min(float(lower), best.cost))
@@ -117,10 +118,3 @@ def _escape(problem: SyncProblem, lift: np.ndarray) -> np.ndarray | None:
         if _Lifts(problem, rank + k).evaluate(moved).cost < point.cost:
             return moved
     return None
-
-
-def _rounded(lift: np.ndarray, group: str) -> np.ndarray:
-    """Members of the group (N, n, n) nearest to the n leading directions of the lifts."""
-    leading, _, _ = np.linalg.svd(np.concatenate(list(lift), axis=1), full_matrices=False)
-    blocks = leading[:, : lift.shape[-1]].T @ lift
-    return nearest(common_orientation(blocks) if group == "SO" else blocks, group)

@@ -3,7 +3,6 @@
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import GROUPS, Estimate, nearest
 from fmsync.estimators.spectral import spectral_maps
@@ -12,7 +11,7 @@ from fmsync.problem import SyncProblem
 _ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
-@checked()
+@checks.checked()
 def starting_point(
     problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator, group: str = "SO"
 ) -> np.ndarray:

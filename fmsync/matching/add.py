@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fmsync import so
-from fmsync.checks import checked
+from fmsync import checks, so
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
 from fmsync.matching.latent import map_from_values
@@ -27,7 +26,7 @@ _STEP, _SETTLE = 6, 8  # functions by which the new maps grow, and rounds at the
 _SWEEPS = 30  # from the mode of a unimodal density, in which planes hardly depend on each other
 
 
-@checked(landmarks=">= 0")
+@checks.checked(landmarks=">= 0")
 def add_shape(
     synced: SyncedShapes,
     shape: Shape,

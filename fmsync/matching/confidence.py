@@ -75,7 +75,10 @@ def confidence(
     double, reach = two_modes(votes, g)
     symmetric = np.where(double, np.where(reach, g[votes, image], 0).max(axis=0), 0.0)
     if has_continuous_symmetry(second):
-        symmetric = np.maximum(symmetric, _orbit_radius(second, level)[image])
+        signature = np.log(heat_kernel_signature(second.basis, 12)[second.samples])  # (S, 12)
+        alike = np.abs(signature[:, None] - signature).max(axis=2) <= _ALIKE  # what looks the same to heat
+        radii = np.array([np.quantile(away[same], level) for away, same in zip(g, alike)])
+        symmetric = np.maximum(symmetric, radii[image])
     return Confidence(
         image=image,
         radius=np.maximum(np.quantile(g[hits, image], level, axis=0), symmetric),
@@ -114,13 +117,6 @@ def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> tuple[np.ndarray, np.
 def has_continuous_symmetry(shape: SampledShape) -> bool:
     """Whether the surface turns into itself, with no landmarks to stop it."""
     return shape.n_landmarks < 2 and shape.basis.has_continuous_symmetry
-
-
-def _orbit_radius(shape: SampledShape, level: float) -> np.ndarray:
-    """(S,) geodesic radius about each sample that holds ``level`` of the samples that look the same to heat."""
-    signature = np.log(heat_kernel_signature(shape.basis, 12)[shape.samples])  # (S, 12)
-    alike = np.abs(signature[:, None] - signature).max(axis=2) <= _ALIKE
-    return np.array([np.quantile(away[same], level) for away, same in zip(shape.geodesics, alike)])
 
 
 def samples_to_vertices(first: SampledShape, values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.matching.confidence import Confidence
 
 LEVELS = (0.25, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)
@@ -28,32 +27,32 @@ class ConformalCalibration:
     levels: tuple[float, ...]
     scales: tuple[float, ...]
 
-    @checked()
+    @checks.checked()
     def expected(self, known: Confidence) -> np.ndarray:
         """Expected error (S,) of the images, in square roots of the area: what to rank vertices by."""
         return self.mean * known.uncertainty_score()
 
-    @checked(level=checks.probability)
+    @checks.checked(level=checks.probability)
     def radius(self, known: Confidence, level: float | None = None) -> np.ndarray:
         """Radii (S,) of regions that hold ``level``, by default that of ``known``, from which on symmetry counts."""
         level = known.level if level is None else level
         radius = self.scale(level) * known.uncertainty_score()
         return np.maximum(radius, known.symmetry_radius) if level >= known.level else radius
 
-    @checked(level=checks.probability)
+    @checks.checked(level=checks.probability)
     def scale(self, level: float) -> float:
         """What scores are multiplied by; ValueError outside the levels it was fitted at."""
         if not self.levels[0] <= level <= self.levels[-1]:
             raise ValueError(f"level: {level} is outside {self.levels[0]} to {self.levels[-1]}, where this was fitted")
         return float(np.interp(level, self.levels, self.scales))
 
-    @checked()
+    @checks.checked()
     def save(self, path: str | Path) -> None:
         """Write it as JSON."""
         Path(path).write_text(json.dumps(asdict(self), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
     @classmethod
-    @checked()
+    @checks.checked()
     def load(cls, path: str | Path) -> "ConformalCalibration":
         """Read what :meth:`save` wrote; ValueError that says what is wrong with the file."""
         path = Path(path)
@@ -69,7 +68,7 @@ class ConformalCalibration:
             raise ValueError(f"{path}: not a calibration ({error!r}); ConformalCalibration.save writes one") from error
 
 
-@checked(errors="S", levels=checks.probability, collections=">= 0")
+@checks.checked(errors="S", levels=checks.probability, collections=">= 0")
 def fit_conformal(
     known: list[Confidence],
     errors: list[np.ndarray],

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
 from fmsync.so import transpose
@@ -24,7 +24,7 @@ _DENSE_UP_TO = 4000  # matrix size
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
 
 
-@checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
+@checks.checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
 def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     r"""Maps :math:`Y_i^\top` (N, M, k) from every shape to the M = 0.9 k directions on which maps (E, k, k) agree best.
 

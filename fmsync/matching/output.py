@@ -139,14 +139,9 @@ def _vertex_table(
     synced: SyncedShapes, i: int, j: int, known: Confidence, calibration: ConformalCalibration
 ) -> pd.DataFrame:
     """Image on shape j and confidence of every vertex of shape i."""
-    at_samples = {
-        "region": calibration.radius(known),
-        "expected": calibration.expected(known),
-        "radius": known.radius,
-        "spread": known.spread,
-        "entropy": known.entropy,
-        "two_modes": known.two_modes.astype(float),
-    }
+    at_samples = {"region": calibration.radius(known), "expected": calibration.expected(known)}
+    at_samples |= {name: getattr(known, name) for name in ("radius", "spread", "entropy")}
+    at_samples["two_modes"] = known.two_modes.astype(float)
     everywhere = {name: samples_to_vertices(synced.shapes[i], values) for name, values in at_samples.items()}
     everywhere["two_modes"] = everywhere["two_modes"] > 0.5
     return pd.DataFrame({"image": synced.point_map(i, j)} | everywhere)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.functional_maps import functional_map_from_descriptors
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
@@ -47,7 +47,7 @@ class PairMatch:
         return float(_costs(self.distortion, self.orientation, 0.0))
 
 
-@checked()
+@checks.checked()
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
     few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)

@@ -7,7 +7,7 @@ import potpourri3d as pp3d
 import robust_laplacian
 from scipy.spatial import cKDTree
 
-from fmsync.checks import checked
+from fmsync import checks
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.extras import require
 from fmsync.shape import Basis, Shape, laplace_beltrami
@@ -36,12 +36,12 @@ class SampledShape:
     orientation: np.ndarray | None
     n_landmarks: int = 0
 
-    @checked()
+    @checks.checked()
     def sampled(self, size: int | None = None) -> np.ndarray:
         """Basis functions at the first ``size`` samples, (size, n)."""
         return self.basis.eigenfunctions[self.samples[:size]]
 
-    @checked()
+    @checks.checked()
     def light(self, n_basis: int) -> "SampledShape":
         """What matching a pair takes, and no more: the samples alone, and ``n_basis`` functions at them.
 
@@ -83,7 +83,10 @@ def sample_shape(
         raise ValueError(f"{shape.name}: {error}") from error
     landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)
     samples = farthest_points(shape.vertices, min(n_samples, shape.n_vertices), landmarks)
-    descriptors = _descriptors(basis, landmarks)
+    parts = [f(basis, size) for f, size in zip((heat_kernel_signature, wave_kernel_signature), _DESCRIPTOR_SIZES)]
+    functions = np.hstack([*parts, *([heat_kernel(basis, landmarks, 4)] if len(landmarks) else [])])
+    functions = functions - basis.mass @ functions
+    descriptors = functions / np.sqrt(basis.mass @ functions**2)
     oriented = None if shape.faces is None else orientation_operators(shape, basis.truncated(n_oriented), descriptors)
     return SampledShape(
         shape=shape,
@@ -160,15 +163,6 @@ def orientation_operators(shape: Shape, basis: Basis, functions: np.ndarray) -> 
     roots = np.zeros(basis.n)
     roots[1:] = basis.eigenvalues[1:] ** -0.5
     return operators * roots[:, None] * roots
-
-
-def _descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:
-    parts = [f(basis, size) for f, size in zip((heat_kernel_signature, wave_kernel_signature), _DESCRIPTOR_SIZES)]
-    if len(landmarks):
-        parts.append(heat_kernel(basis, landmarks, 4))
-    functions = np.hstack(parts)
-    functions = functions - basis.mass @ functions
-    return functions / np.sqrt(basis.mass @ functions**2)
 
 
 def decimated(shape: Shape, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,10 +16,10 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.estimators import Estimate
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
+from fmsync.functional_maps import vertex_images
 from fmsync.matching.confidence import Confidence, confidence
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
@@ -31,7 +31,6 @@ from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
-from fmsync.uncertainty import vertex_images
 
 ROUNDS = 2  # of proposing synchronised maps to the pairs
 _DRAWS_SHOWN = 100  # draws that carry vertices
@@ -84,32 +83,32 @@ class SyncedShapes:
             found[i, j], found[j, i] = self.matches[e].c_ij, self.matches[e].c_ij.T
         return found
 
-    @checked(i="< N", j="< N")
+    @checks.checked(i="< N", j="< N")
     def functional_map(self, i: int, j: int) -> np.ndarray:
         """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
         return self.refined[i].T @ self.refined[j]
 
-    @checked(i="< N", vertices="K < V")
+    @checks.checked(i="< N", vertices="K < V")
     def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
         if not isinstance(vertices, slice):
             checks.indices("vertices", vertices, self.shapes[i].basis.n_vertices)
         return self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]] @ self.refined[i].T
 
-    @checked(i="< N", j="< N")
+    @checks.checked(i="< N", j="< N")
     def sample_images(self, i: int, j: int) -> np.ndarray:
         """(S_i,) sample of j for each sample of i."""
         return nearest_rows(
             self.shared_functions(i, self.shapes[i].samples), self.shared_functions(j, self.shapes[j].samples)
         )
 
-    @checked(i="< N", j="< N")
+    @checks.checked(i="< N", j="< N")
     def point_map(self, i: int, j: int) -> np.ndarray:
         """(V_i,) vertex of j for each vertex of i."""
         with single_threaded_blas():
             return nearest_rows(self.shared_functions(i), self.shared_functions(j))
 
-    @checked(i="< N", j="< N", level=checks.probability)
+    @checks.checked(i="< N", j="< N", level=checks.probability)
     def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
         """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
         first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
@@ -118,7 +117,7 @@ class SyncedShapes:
             vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
         return confidence(first, second, image, vertex, draws, self.votes(i, j), level)
 
-    @checked(i="< N", j="< N")
+    @checks.checked(i="< N", j="< N")
     def draws(self, i: int, j: int, count: int) -> np.ndarray:
         """(T, n, n) posterior draws of C_ij in the bases of ``shapes``, at most ``count``, evenly from all of them."""
         if self.posterior is None:
@@ -128,14 +127,14 @@ class SyncedShapes:
         flips = basis_signs(self.signs, self.problem.n)
         return flips[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * flips[j]
 
-    @checked(i="< N", j="< N", vertex=">= 0")
+    @checks.checked(i="< N", j="< N", vertex=">= 0")
     def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
         """(T,) vertices of shape j where ``count`` posterior draws send one vertex of shape i."""
         n = self.problem.n
         a, b = self.shapes[i].basis.truncated(n), self.shapes[j].basis.truncated(n)
         return vertex_images(self.draws(i, j, count), a, b, vertex)
 
-    @checked(i="< N", j="< N")
+    @checks.checked(i="< N", j="< N")
     def votes(self, i: int, j: int) -> np.ndarray:
         """(W, S_i) where observed maps send the samples of i: straight to j, and through every other shape."""
         observed = self.observed
@@ -151,7 +150,7 @@ class SyncedShapes:
         return np.array(votes or [self.sample_images(i, j)])
 
 
-@checked(n_basis=">= 2", n_draws=">= 0", graph=">= 0", landmarks=">= 0")
+@checks.checked(n_basis=">= 2", n_draws=">= 0", graph=">= 0", landmarks=">= 0")
 def synchronize_shapes(
     shapes: Sequence[Shape],
     *,
@@ -244,7 +243,7 @@ def synchronize_shapes(
     return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 
 
-@checked(n_draws=">= 0", edges="E 2 < N")
+@checks.checked(n_draws=">= 0", edges="E 2 < N")
 def synchronize_matches(
     shapes: Sequence[SampledShape],
     edges: np.ndarray,

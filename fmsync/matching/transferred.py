@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.confidence import draw_images, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration, default_calibration
@@ -29,7 +28,7 @@ class Transferred:
     labels: np.ndarray | None
 
 
-@checked(i=">= 0", values=checks.plain)
+@checks.checked(i=">= 0", values=checks.plain)
 def transfer(
     synced: SyncedShapes, i: int, values: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[Transferred]:
@@ -77,7 +76,7 @@ def transfer(
     return found
 
 
-@checked(i=">= 0", vertices=checks.plain)
+@checks.checked(i=">= 0", vertices=checks.plain)
 def transfer_landmarks(
     synced: SyncedShapes, i: int, vertices: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[tuple[np.ndarray, np.ndarray]]:

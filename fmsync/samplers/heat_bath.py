@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmsync import so
-from fmsync.checks import checked
+from fmsync import checks, so
 from fmsync.energy import energy_unchecked as euclidean_energy
 from fmsync.samplers import langevin_kernels, plane_rotations
 from fmsync.samplers.base import Sampler, Target, sampler
@@ -34,7 +33,7 @@ class HeatBath(Sampler):
     are the reflections before each draw.
     """
 
-    @checked(start="K N n n", over_relaxations=">= 0")
+    @checks.checked(start="K N n n", over_relaxations=">= 0")
     def __init__(self, target: Target, start: np.ndarray, rng: np.random.Generator, *, over_relaxations: int = 1):
         target.only("heat-bath", energy="euclidean")
         problem = target.problem

@@ -3,7 +3,6 @@
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
 from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
 from fmsync.energy import gradient_unchecked as energy_gradient
@@ -45,7 +44,7 @@ class HMC(Sampler):
     _potential: np.ndarray
     _gradient: np.ndarray
 
-    @checked(start="K N n n", step=checks.positive, length=checks.positive)
+    @checks.checked(start="K N n n", step=checks.positive, length=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -60,9 +59,6 @@ class HMC(Sampler):
         target.only("hmc", likelihood="langevin")
         if length is not None and isinstance(self, MALA):
             raise ValueError("length: 'mala' has no such option, its trajectories have one step")
-        for name, size in (("step", step), ("length", length)):
-            if size is not None:
-                checks.positive(name, size)
         problem, self._euclidean = target.problem, target.energy == "euclidean"
         if not (self._euclidean or isinstance(target.kappa, float)):
             why = "the normaliser of the geodesic energy is not known, so that kappa cannot be inferred with it"

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from fmsync import adapters, checks, so
-from fmsync.checks import checked
 from fmsync.diagnostics import Draws, Summary, summary
 from fmsync.problem import relative_maps_unchecked as relative_maps
 
@@ -39,7 +38,7 @@ class Posterior(Draws):
             raise ValueError("sigma2: only likelihood='projected-gaussian' has a noise variance; see kappa")
         return 1 / self.kappa
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def relative(self, edges: np.ndarray | None = None) -> np.ndarray:
         r"""Relative maps :math:`C_i^\top C_j` of every draw, (chains, draws, E, n, n).
 
@@ -47,7 +46,7 @@ class Posterior(Draws):
         """
         return relative_maps(self.absolute, self._edges(edges))
 
-    @checked(edges="K 2 < N")
+    @checks.checked(edges="K 2 < N")
     def relative_mean(self, edges: np.ndarray | None = None, *, projected: bool = True) -> np.ndarray:
         """Chordal mean over all draws of the relative maps, (E, n, n): independent of every gauge.
 
@@ -60,7 +59,7 @@ class Posterior(Draws):
         mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
         return so.project_unchecked(mean) if projected else mean
 
-    @checked(level=checks.probability, edges="K 2 < N")
+    @checks.checked(level=checks.probability, edges="K 2 < N")
     def credible_balls(self, level: float, edges: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         r"""Centres (E, n, n) and radii (E,) of Frobenius balls that hold each relative map with probability ``level``.
 

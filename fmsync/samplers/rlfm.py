@@ -3,7 +3,6 @@ r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test.
 import numpy as np
 
 from fmsync import checks, so
-from fmsync.checks import checked
 from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
 from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
 from fmsync.energy import gram_blocks
@@ -38,7 +37,7 @@ class RLFM(Sampler):
     * ``drift``: ``"descent"``, or ``"printed"`` for the sign that the paper prints.
     """
 
-    @checked(start="K N n n", step=checks.positive)
+    @checks.checked(start="K N n n", step=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -104,7 +103,12 @@ class RLFM(Sampler):
         """Advance all chains by one step; nothing is adapted."""
         fixed = None if self._held is None else self._c[:, self._held].copy()
         if self._constrained:
-            self._retract(self._tangents())
+            omega = self._tangents()
+            flat = self._c.reshape(omega.shape)  # a view: the state is C-contiguous
+            if self._exp:
+                langevin_kernels.rotate(flat, omega)
+            else:
+                self._c = so.qf_unchecked(flat + flat @ omega).reshape(self._c.shape)
         else:
             gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
             noise = self._rng.standard_normal(self._c.shape)
@@ -127,13 +131,6 @@ class RLFM(Sampler):
         omega = langevin_kernels.langevin_tangents(flat, flat, noise, 0.0, self._noise)
         omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
         return omega
-
-    def _retract(self, omega: np.ndarray) -> None:
-        flat = self._c.reshape(omega.shape)  # a view: the state is C-contiguous
-        if self._exp:
-            langevin_kernels.rotate(flat, omega)
-        else:
-            self._c = so.qf_unchecked(flat + flat @ omega).reshape(self._c.shape)
 
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:

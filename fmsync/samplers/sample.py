@@ -7,7 +7,6 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import checks, so
-from fmsync.checks import checked, unchecked
 from fmsync.diagnostics import ConvergenceWarning, warn_unless_converged
 from fmsync.estimators.base import Estimate
 from fmsync.estimators.solve import solve
@@ -23,7 +22,7 @@ Callback = Callable[[int, np.ndarray, np.ndarray], None]  # (draw, state (chains
 _CHECK_EVERY = 50  # warm-up steps between two looks at the energy
 
 
-@checked(warmup=">= 0", kappa=checks.positive, beta=checks.positive)
+@checks.checked(warmup=">= 0", kappa=checks.positive, beta=checks.positive)
 def sample(
     problem: SyncProblem,
     method: str = "rlfm",
@@ -157,5 +156,5 @@ def starts(
     elif not isinstance(init, Estimate) and np.ndim(init) == 4:
         if len(init) != n_chains:
             raise ValueError(f"init: {len(init)} starts for {n_chains} chains")
-        return np.stack([unchecked(starting_point)(problem, start, rng) for start in init])
+        return np.stack([checks.unchecked(starting_point)(problem, start, rng) for start in init])
     return np.stack([starting_point(problem, init, rng)] * n_chains)

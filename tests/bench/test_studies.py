@@ -128,11 +128,12 @@ def test_copies_have_vertices_of_their_own(cats):
 def test_points_of_a_species_are_kept_and_read_again(tmp_path, monkeypatch, observed):
     monkeypatch.setattr(species, "species", lambda number: None)
     monkeypatch.setattr(species, "observe", lambda shapes, **options: observed)
-    rows = species.points(7, tmp_path)
+    monkeypatch.setattr(species, "kept_results", partial(studies.kept_results, jobs=1))
+    rows = species.all_points([7], tmp_path)
     assert list(rows) == ["pair", "score", "error", "species"]
     assert len(rows) == sum(map(len, observed.errors))
     monkeypatch.setattr(species, "observe", None)
-    pd.testing.assert_frame_equal(species.points(7, tmp_path), rows)
+    pd.testing.assert_frame_equal(species.all_points([7], tmp_path), rows)
 
 
 def test_species_left_out_are_covered_as_promised():
@@ -167,7 +168,7 @@ def test_half_a_body_is_a_mesh_in_one_piece(cats):
 def test_rates_of_outliers_are_those_of_the_folders(monkeypatch, tmp_path):
     """Every folder has six of one kind, a stranger that is found in half of the folders, and a sphere."""
 
-    def planted(number, folder):
+    def planted(number):
         apart = 0.01 * (1 - np.eye(8))
         far = apart.copy()
         far[6, :6] = far[:6, 6] = 0.2 * (number % 2)
@@ -175,7 +176,7 @@ def test_rates_of_outliers_are_those_of_the_folders(monkeypatch, tmp_path):
         return {"kinds": np.array(["own"] * 6 + ["cat", "sphere"]), "spectra": apart, "both": far[:7, :7]}
 
     monkeypatch.setattr(outliers, "distances", planted)
-    monkeypatch.setattr(outliers, "shapes_named", partial(outliers.shapes_named, jobs=1))
+    monkeypatch.setattr(outliers, "kept_results", partial(studies.kept_results, jobs=1))
     found = outliers.table(tmp_path)
     assert set(found) == {"development", "test"}
     test = found["test"]

@@ -5,7 +5,9 @@ import os
 import time
 from pathlib import Path
 
+import numba
 import numpy as np
+import threadpoolctl
 
 from bench.methods import Answer, method
 
@@ -61,6 +63,14 @@ def die(problem, *, rng, once: str | None = None):
         if once is not None:
             Path(once).touch()
         os._exit(9)
+    return right(problem)
+
+
+@method("trick-threads")
+def threads(problem, *, rng):
+    """Refuse to have more than one thread of BLAS or of our own."""
+    blas = [pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"]
+    assert {*blas, numba.config.NUMBA_NUM_THREADS} == {1}
     return right(problem)
 
 
