@@ -274,8 +274,8 @@ class Valid:
             "fmsync.viz.explorer.glow": {"shape": self.shape, "images": order[:3]},
             "fmsync.viz.figures.heatmaps": {"matrices": [np.eye(3)], "clim": (-1.0, 1.0)},
             "fmsync.viz.figures.picture": {"fig": plt.figure(figsize=(1, 1))},
-            "fmsync.viz.loops.loop": {"figures": self.figures()},
-            "fmsync.viz.loops.walk_on_sphere": {
+            "fmsync.viz.players.player": {"figures": self.figures()},
+            "fmsync.viz.players.walk_on_sphere": {
                 "points": np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "frames": 2,
             },
             "fmsync.viz.scenes.facing": {"mesh": self.shape, "vertex": 0},

@@ -1,4 +1,4 @@
-"""Short moving pictures that repeat, each with a still for paper and for readers who want nothing to move."""
+"""Small players: a row of pictures to run through by a slider or a button, with a still for paper."""
 
 import base64
 import html
@@ -21,48 +21,91 @@ from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
+_COLOURS = 64  # of the frames
+# it starts by itself once it is seen, where less motion is not wished for, and rests on the last frame
+_SCRIPT = """for (const f of document.querySelectorAll(".fm-moving:not([data-fm])")) {
+  f.dataset.fm = "ready";
+  const [frame, button, slider] = ["div", "button", "input"].map((q) => f.querySelector(q));
+  const { columns, rows, time } = f.dataset, last = +slider.max;
+  let timer = 0;
+  const show = (k) => {
+    slider.value = k;
+    frame.style.backgroundPosition =
+      `${(100 * (k % columns)) / (columns - 1 || 1)}% ${(100 * Math.floor(k / columns)) / (rows - 1 || 1)}%`;
+  };
+  const stop = () => { timer = clearInterval(timer); button.textContent = "Play"; };
+  const step = () => { show(+slider.value + 1); if (+slider.value === last) stop(); };
+  const play = () => {
+    if (+slider.value === last) show(0);
+    timer = setInterval(step, +time);
+    button.textContent = "Pause";
+  };
+  button.onclick = () => (timer ? stop() : play());
+  slider.oninput = () => { stop(); show(+slider.value); };
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) continue;
+  new IntersectionObserver(([e], seen) => {
+    if (!e.isIntersecting) return;
+    seen.disconnect();
+    if (!timer && +slider.value === last) play();
+  }, { threshold: 0.9 }).observe(frame);
+}"""
 
 
 @dataclass(frozen=True, repr=False)
-class Loop(Picture):
-    """A picture that moves: an animated WebP beside its last frame, which screens with reduced motion show too."""
+class Player(Picture):
+    """Frames to run through, joined into one WebP; ``png`` is the last one, for paper and where no script runs.
+
+    Parameters
+    ----------
+    webp, count, columns
+        The frames row by row, how many there are, and how many are in a row.
+    seconds
+        How long a frame is seen when they run by themselves.
+    """
 
     webp: bytes
+    count: int
+    columns: int
+    seconds: float
 
     def html(self) -> str:
-        """The moving picture, the still, and a button that pauses, in HTML."""
-        moving = f"data:image/webp;base64,{base64.b64encode(self.webp).decode()}"
-        with Image.open(io.BytesIO(self.webp)) as first:
-            height = round(self.width * first.height / first.width)
-        still = image_tag(self.png, self.alt, self.width)
-        still = still.replace("<img ", '<img class="fm-still" style="display:none" ', 1).replace("lazy", "eager")
+        """The frame that is shown, a button that plays and pauses, a slider, and the still of print, in HTML."""
+        last, rows = self.count - 1, -(-self.count // self.columns)
+        with Image.open(io.BytesIO(self.png)) as still:
+            shape = f"width:{self.width}px;max-width:100%;aspect-ratio:{still.width}/{still.height}"
+        place = f"{100 * (last % self.columns) / max(self.columns - 1, 1):.3f}% 100%"
+        image = f"url(data:image/webp;base64,{base64.b64encode(self.webp).decode()})"
+        paper = image_tag(self.png, self.alt, self.width).replace("lazy", "eager")
+        paper = paper.replace("<img ", '<img class="fm-still" style="display:none" ', 1)
         return (
-            '<figure class="fm-figure fm-moving">'
-            f'<img class="fm-loop" alt="{html.escape(self.alt)}" width="{self.width}" height="{height}" '
-            f'src="{moving}">{still}'
-            '<button type="button" class="fm-pause" '
-            "onclick=\"this.parentNode.classList.toggle('fm-paused')\">Pause or play</button></figure>"
+            f'<figure class="fm-figure fm-moving" data-columns="{self.columns}" data-rows="{rows}" '
+            f'data-time="{1000 * self.seconds:g}">'
+            f'<div class="fm-frame" role="img" aria-label="{html.escape(self.alt)}" '
+            f'style="{shape};background:{image} {place}/{100 * self.columns}% {100 * rows}%"></div>{paper}'
+            '<div class="fm-controls"><button type="button">Play</button> '
+            f'<input type="range" min="0" max="{last}" value="{last}" aria-label="frame"></div>'
+            f"<script>{_SCRIPT}</script></figure>"
         )
 
 
-@checked(seconds=checks.positive, rest=checks.not_negative)
-def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: float = 2.0) -> Loop:
-    """Join matplotlib figures of one size into a ``Loop``, and close them.
+@checked(seconds=checks.positive)
+def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Player:
+    """Join matplotlib figures of one size into a ``Player``, and close them.
 
     At least two ``figures``, e.g. a generator that draws them one by one; ``alt`` says in one or two sentences what is
-    shown and how it moves; ``seconds`` and ``rest`` are the time of one frame, and of the last one, which is also the
-    still. A ValueError for figures of unequal size, or more than 300 kB.
+    shown and how it moves; ``seconds`` is the time of one frame. The last one is also the still. A ValueError for
+    figures of unequal size, or more than 300 kB.
 
     >>> def frames():
     ...     for k in range(3):
     ...         fig, ax = plt.subplots()
     ...         ax.set(xlim=(0, k + 1))
     ...         yield fig
-    >>> loop(frames(), alt="An axis that grows.")
-    <Loop: An axis that grows.>
+    >>> player(frames(), alt="An axis that grows.")
+    <Player: An axis that grows.>
     """
     if not alt.strip():
-        raise ValueError("alt is empty: say in a sentence what the loop shows")
+        raise ValueError("alt is empty: say in a sentence what the player shows")
     stills, width = [], 0
     for figure in figures:
         width = round(figure.get_figwidth() * figure.dpi)
@@ -70,25 +113,27 @@ def loop(figures: Iterable[Figure], alt: str, *, seconds: float = 0.1, rest: flo
     images = [Image.open(io.BytesIO(still)).convert("RGB") for still in stills]
     if len(images) < 2 or len({image.size for image in images}) > 1:
         raise ValueError(f"{len(images)} figures of sizes {[i.size for i in images]}: give at least two of one size")
-    times = [round(1000 * seconds)] * (len(images) - 1) + [round(1000 * rest)]
-    buffer = io.BytesIO()
-    images[0].save(
-        buffer, "WEBP", save_all=True, append_images=images[1:], duration=times, loop=0, quality=60, method=4
-    )
+    columns = int(np.ceil(np.sqrt(len(images))))
+    across, down = images[0].size
+    sheet = Image.new("RGB", (columns * across, -(-len(images) // columns) * down), "white")
+    for k, image in enumerate(images):
+        sheet.paste(image, (k % columns * across, k // columns * down))
+    buffer = io.BytesIO()  # without loss, as frames that repeat each other pack to little
+    sheet.quantize(_COLOURS, dither=Image.Dither.NONE).convert("RGB").save(buffer, "WEBP", lossless=True, method=2)
     if buffer.tell() > _MOST_BYTES:
-        raise ValueError(f"the loop has {buffer.tell()} bytes: draw fewer or smaller frames, {_MOST_BYTES} at most")
-    return Loop(stills[-1], alt, width, buffer.getvalue())
+        raise ValueError(f"the player has {buffer.tell()} bytes: draw fewer or smaller frames, {_MOST_BYTES} at most")
+    return Player(stills[-1], alt, width, buffer.getvalue(), len(images), columns, seconds)
 
 
 @checked(points="T 3")
-def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Loop:
+def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Player:
     """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 
     For a chain of rotations of space, give the places to which they turn one vector, e.g. ``rotations[:, :, 2]``.
 
     >>> angles = np.linspace(0, 6, 50)
     >>> walk_on_sphere(np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "Along the equator.", frames=5)
-    <Loop: Along the equator.>
+    <Player: Along the equator.>
     """
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
@@ -96,7 +141,7 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Loop:
     if len(points) < frames:
         raise ValueError(f"{len(points)} points for {frames} frames: give at least one for each")
     ends = np.linspace(len(points) / frames, len(points), frames).round().astype(int)
-    return loop((_sphere(points[:end], len(points)) for end in ends), alt)
+    return player((_sphere(points[:end], len(points)) for end in ends), alt)
 
 
 def _sphere(points: np.ndarray, total: int) -> Figure:
