@@ -31,7 +31,7 @@ SLOW = 2.0  # seconds, of one call
 
 # Public classes that the library makes and users only read: their methods are tried, not their constructors.
 RECORDS = """Estimate Trace Draws Posterior Summary ConvergenceWarning Confidence ConformalCalibration SyncedShapes
-    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Loop Picture Scene Explorer
+    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Player Picture Scene Explorer
     Transferred Creature""".split()  # noqa: SIM905
 ENGINES = ("RLFM", "HMC", "MALA", "HeatBath", "Tempered")  # constructors are tried; fmsync.sample drives the rest
 
