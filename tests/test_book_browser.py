@@ -46,7 +46,7 @@ PAGES = sorted(
 _HOLDS = {
     mark: [p for p in PAGES if mark in (HTML / p).read_text(encoding="utf-8")] for mark in ("fm-scene", "fm-moving")
 }
-SCENES, LOOPS = _HOLDS["fm-scene"], _HOLDS["fm-moving"]
+SCENES, PLAYERS = _HOLDS["fm-scene"], _HOLDS["fm-moving"]
 
 pytestmark = pytest.mark.browser
 
@@ -141,7 +141,6 @@ def test_page_is_seen_read_printed_and_used_by_everyone(visited, name):
     for image in page.evaluate(_IMAGES):
         assert image["alt"].strip(), f"no alt text: {image['src'][:80]}"
         assert image["width"] > 0, f"not loaded: {image['src'][:80]}"
-        assert not image["moves"] or len(image["src"]) < 400_000, f"more than 300 kB: {image['alt']}"
         pixels = _read(image["src"])
         assert pixels is None or pixels.std() > 3, f"blank: {image['alt']}"
     page.set_viewport_size(SHEET)
@@ -196,7 +195,7 @@ _FORMULAS = """() => [
 _IMAGES = """() => Promise.all([...document.images].map(async (i) => {
   i.loading = "eager";
   await i.decode().catch(() => {});
-  return { alt: i.alt, src: i.src, width: i.naturalWidth, moves: i.classList.contains("fm-loop") };
+  return { alt: i.alt, src: i.src, width: i.naturalWidth };
 }))"""
 # what would be lost on a sheet of this size: white text, live scenes, folded solutions, what is too wide or too tall
 _ON_PAPER = """({ width, height }) => {
@@ -204,7 +203,7 @@ _ON_PAPER = """({ width, height }) => {
   const lost = [], seen = (e) => e.checkVisibility();
   if (document.documentElement.dataset.theme !== "light") lost.push("dark paper");
   for (const e of document.querySelectorAll("iframe, .bd-sidebar, .bd-header")) if (seen(e)) lost.push(e.outerHTML);
-  for (const e of document.querySelectorAll(".solution p, .solution pre, .solution img:not(.fm-loop)"))
+  for (const e of document.querySelectorAll(".solution p, .solution pre, .solution img"))
     if (!seen(e)) lost.push(e.outerHTML);
   for (const e of document.querySelectorAll("article :is(pre, img, mjx-container)")) {
     const box = e.getBoundingClientRect();
@@ -347,22 +346,44 @@ def test_print_makes_a_pdf_of_many_sheets(opened):
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"  # and the screen is as before
 
 
-def test_loops_rest_for_those_who_wish_it(opened):
-    if not LOOPS:
-        _absent("no page has a loop")
-    page = opened(LOOPS[0], WIDE, "light")
+def test_players_run_and_rest_and_obey_keys(opened):
+    if not PLAYERS:
+        _absent("no page has a player")
+    page = opened(PLAYERS[0], WIDE, "light")
     figure = page.locator(".fm-moving").first
-    loop, still = figure.locator(".fm-loop"), figure.locator(".fm-still")
-    assert loop.is_visible()
-    assert not still.is_visible()
-    figure.locator("button").click()
-    assert still.is_visible()
-    assert not loop.is_visible()
-    figure.locator("button").click()
-    assert loop.is_visible()
+    frame, still, slider = figure.locator(".fm-frame"), figure.locator(".fm-still"), figure.get_by_label("frame")
+    last = slider.get_attribute("max")
     page.emulate_media(reduced_motion="reduce")
+    page.reload()
+    frame.scroll_into_view_if_needed()
+    page.wait_for_timeout(500)
+    assert slider.input_value() == last  # it waits to be asked
+    end = _settled(page, frame)
+    assert np.abs(end - _resized(still.get_attribute("src"), end)).mean() < 6  # what paper shows is the last frame
+    slider.focus()
+    page.keyboard.press("Home")
+    start = _settled(page, frame)
+    assert np.abs(start - end).mean() > 0.5
+    page.keyboard.press("ArrowRight")
+    assert slider.input_value() == "1"
+    button = figure.get_by_role("button")
+    button.click()
+    assert button.inner_text() == "Pause"
+    page.wait_for_function("(s) => +s.value > 1", arg=slider.element_handle(), timeout=5000)
+    button.click()
+    assert button.inner_text() == "Play"
+    page.emulate_media(reduced_motion="no-preference")
+    page.reload()
+    frame.scroll_into_view_if_needed()
+    page.wait_for_function("(s) => s.value !== s.max", arg=slider.element_handle(), timeout=5000)  # by itself, once
+    page.emulate_media(media="print")
     assert still.is_visible()
-    assert not loop.is_visible()
+    assert not frame.is_visible()
+
+
+def _resized(source: str, like: np.ndarray) -> np.ndarray:
+    image = Image.open(io.BytesIO(base64.b64decode(source.split(",", 1)[1]))).convert("RGB")
+    return np.asarray(image.resize(like.shape[1::-1], Image.Resampling.LANCZOS), dtype=int)
 
 
 def test_search_finds_a_word_from_disk(opened):

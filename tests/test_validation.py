@@ -31,7 +31,7 @@ SLOW = 2.0  # seconds, of one call
 
 # Public classes that the library makes and users only read: their methods are tried, not their constructors.
 RECORDS = """Estimate Trace Draws Posterior Summary ConvergenceWarning Confidence ConformalCalibration SyncedShapes
-    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Loop Picture Scene Explorer
+    SampledShape PairMatch Certificate RectangularEstimate GroundTruth Player Picture Scene Explorer
     Transferred Creature""".split()  # noqa: SIM905
 ENGINES = ("RLFM", "HMC", "MALA", "HeatBath", "Tempered")  # constructors are tried; fmsync.sample drives the rest
 
@@ -273,8 +273,8 @@ class Valid:
             "fmsync.viz.explorer.glow": {"shape": self.shape, "images": order[:3]},
             "fmsync.viz.figures.heatmaps": {"matrices": [np.eye(3)], "clim": (-1.0, 1.0)},
             "fmsync.viz.figures.picture": {"fig": plt.figure(figsize=(1, 1))},
-            "fmsync.viz.loops.loop": {"figures": self.figures()},
-            "fmsync.viz.loops.walk_on_sphere": {
+            "fmsync.viz.players.player": {"figures": self.figures()},
+            "fmsync.viz.players.walk_on_sphere": {
                 "points": np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1), "frames": 2,
             },
             "fmsync.viz.scenes.facing": {"mesh": self.shape, "vertex": 0},

@@ -92,11 +92,11 @@ def confidence(
     )
 
 
-def draw_images(first: SampledShape, second: SampledShape, draws: np.ndarray) -> np.ndarray:
-    """(T, S_i) samples of j where draws (T, n, n) of C_ij send the samples of i."""
+def draw_images(first: SampledShape, second: SampledShape, draws: np.ndarray, count: int | None = None) -> np.ndarray:
+    """(T, S) samples of j where draws (T, n, n) of C_ij send the first ``count`` samples of i, or all."""
     n = draws.shape[-1]
     with single_threaded_blas():
-        moved = (first.sampled()[:, :n] @ draws).reshape(-1, n)
+        moved = (first.sampled(count)[:, :n] @ draws).reshape(-1, n)
         return nearest_rows(moved, second.sampled()[:, :n]).reshape(len(draws), -1)
 
 

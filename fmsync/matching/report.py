@@ -3,6 +3,7 @@
 import base64
 import html
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from fmsync.colours import colours_from_coordinates
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
-from fmsync.matching.confidence import Confidence
+from fmsync.matching.confidence import Confidence, draw_images
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags
 from fmsync.matching.samples import SampledShape, decimated
@@ -19,7 +20,11 @@ from fmsync.matching.synchronize import SyncedShapes
 from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
+_CHOICE = 160  # of which so many can be chosen, to see where they go
+_MOST_DRAWS, _ALL_DRAWS = 100, 11_000  # that send the vertices of a pair, and of all pairs
+_STEP = 1e-4  # of radii, in square roots of the area
 _VIEWER = Path(__file__).with_name("viewer.js")
+_EXPLORER = Path(__file__).parents[1] / "viz" / "explorer.js"  # read, not imported: it needs none of the extra viz
 _PAGE = Path(__file__).with_name("report.html")
 Pairs = dict[tuple[int, int], Confidence]
 Radii = dict[tuple[int, int], np.ndarray]
@@ -43,21 +48,32 @@ def report(
         edges=edges.rename(columns=lambda name: name.replace("_", " "))
         .replace({"sign disagrees": {True: "yes", False: "no"}})
         .to_html(index=False, float_format="%.3f", border=0),
-        data=json.dumps(_data(synced, known, radii, edges, top)).replace("<", "\\u003c"),
+        data=json.dumps(_data(synced, known, radii, edges, top, level)).replace("<", "\\u003c"),
+        explorer=_EXPLORER.read_text(encoding="utf-8"),
         viewer=_VIEWER.read_text(encoding="utf-8"),
     )
 
 
-def _data(synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float) -> dict[str, object]:
+def _data(
+    synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float, level: float
+) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
     drawn = [_drawn(s) for s in synced.shapes]
-    shapes, pairs = [], {}
+    shapes, nearest, pairs = [], [], {}
+    n_draws = max(10, min(_MOST_DRAWS, _ALL_DRAWS // len(known)))
     for s, (vertices, faces) in zip(synced.shapes, drawn):
-        points = s.shape.vertices[vertices] - s.shape.vertices.mean(axis=0)
-        points = _packed(32000 * (points / np.linalg.norm(points, axis=1).max()), "<i2")
+        points = s.shape.vertices[vertices]
+        points = points - (points.max(axis=0) + points.min(axis=0)) / 2
+        size = float(np.linalg.norm(points, axis=1).max())
+        points = _packed(32000 * points / size, "<i2")
         colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
-        drawing = {"points": points, "faces": _packed(faces, "<u2"), "colours": colours}
-        shapes.append({"name": s.shape.name} | drawing)
+        drawing = {"size": size, "points": points, "faces": _packed(faces, "<u2"), "colours": colours}
+        choice = s.samples[:_CHOICE].tolist()
+        picks = cKDTree(s.shape.vertices[vertices]).query(s.shape.vertices[s.samples])[
+            1
+        ]  # the drawn one of each sample
+        nearest.append(picks)
+        shapes.append({"name": s.shape.name, "choice": choice, "picks": _packed(picks[:_CHOICE], "<u2")} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
     for (i, j), k in known.items():
         first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]
@@ -70,8 +86,31 @@ def _data(synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame,
             "double": _packed(k.two_modes[at], "u1"),
             "median": float(np.median(radii[i, j])),
             "distortion": costs.get(frozenset((i, j))),
-        }
-    return {"shapes": shapes, "pairs": pairs, "ramp": _RAMP.tolist()}
+        } | _explored(synced, i, j, k, radii[i, j], nearest[j], n_draws)
+    return {"shapes": shapes, "pairs": pairs, "ramp": _RAMP.tolist(), "step": _STEP, "level": level}
+
+
+def _explored(
+    synced: SyncedShapes, i: int, j: int, known: Confidence, radius: np.ndarray, nearest: np.ndarray, n_draws: int
+) -> dict[str, object]:
+    """Where the vertices to choose from go, as drawn vertices of j, the ``nearest`` (S_j,) of its samples."""
+    way, draws, observed = (
+        (synced.shapes[i], synced.shapes[j]),
+        synced.draws(i, j, n_draws),
+        synced.observed.get((i, j)),
+    )
+    images = np.sort(nearest[draw_images(*way, draws, _CHOICE)].T, axis=1)
+    steps = np.diff(images, axis=1, prepend=0)  # pack better
+    return {
+        "draws": base64.b64encode(zlib.compress(steps.astype("<u2").tobytes(), 9)).decode(),
+        "count": images.shape[1],
+        "centres": _packed(nearest[known.image[:_CHOICE]], "<u2"),
+        "radius": _packed(known.radius[:_CHOICE] / _STEP, "<u2"),
+        "region": _packed(radius[:_CHOICE] / _STEP, "<u2"),
+        "observed": None
+        if observed is None
+        else _packed(nearest[draw_images(*way, observed[None], _CHOICE)[0]], "<u2"),
+    }
 
 
 def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:

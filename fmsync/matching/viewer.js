@@ -1,10 +1,14 @@
 "use strict";
-// Draws the three shapes of a chosen pair: triangles far to near, turned by dragging.
+// Draws the three shapes of a chosen pair: triangles far to near, turned by dragging. And gives the pair to the explorer.
 const data = JSON.parse(document.getElementById("data").textContent);
 const unpack = (text, Kind) => new Kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 const shapes = data.shapes.map((s) => ({
   name: s.name, points: unpack(s.points, Int16Array), faces: unpack(s.faces, Uint16Array),
   colours: unpack(s.colours, Uint8Array),
+}));
+const solid = data.shapes.map((s, k) => ({ // as the explorer has them
+  name: s.name, picks: unpack(s.picks, Uint16Array), triangles: shapes[k].faces,
+  points: Float32Array.from(shapes[k].points, (x) => (x * s.size) / 32000),
 }));
 const from = document.getElementById("from"), to = document.getElementById("to");
 const view = { turn: 0.7, tilt: 0.25 };
@@ -35,6 +39,44 @@ function choose() {
       (matched ? `The pair was matched, with distortion ${pair.distortion.toFixed(3)}.`
                : "The pair was not matched itself: its map comes through others.");
   draw();
+  explore(i, j);
+}
+
+async function explore(i, j) { // an explorer of this pair in the place of the last one
+  const place = document.getElementById("explorer");
+  if (i === j || !shapes[i].faces.length || !shapes[j].faces.length) {
+    place.textContent = i === j ? "Choose two different shapes." : "A point cloud has no surface to click on.";
+    return;
+  }
+  const ways = await Promise.all([[i, j], [j, i]].map(async (way) => {
+    const pair = data.pairs[way], packed = new Blob([unpack(pair.draws, Uint8Array)]);
+    const draws = packed.stream().pipeThrough(new DecompressionStream("deflate"));
+    const images = new Uint16Array(await new Response(draws).arrayBuffer());
+    images.forEach((_, k) => { if (k % pair.count) images[k] += images[k - 1]; });
+    const [radius, region] = [pair.radius, pair.region].map((r) => Float32Array.from(unpack(r, Uint16Array), (x) => x * data.step));
+    const centres = unpack(pair.centres, Uint16Array), observed = pair.observed && unpack(pair.observed, Uint16Array);
+    return { posterior: { images, centres, radius }, calibrated: { images: centres, centres, radius: region },
+      synchronised: { images: centres }, observed: observed && { images: observed } };
+  }));
+  if (+from.value !== i || +to.value !== j) return; // another one was chosen meanwhile
+  const [p, half] = [solid[i].points, data.shapes[i].size / 2]; // first, the vertex nearest to the reader's eye
+  const away = Array.from(solid[i].picks, (v) => Math.hypot(p[3 * v] - 1.5 * half, p[3 * v + 1] + 1.2 * half, p[3 * v + 2] - half));
+  const views = ["observed", "synchronised", "posterior", "calibrated"].filter((view) => ways[0][view]);
+  const figure = document.createElement("div");
+  const alt = `${shapes[i].name} and ${shapes[j].name}: a chosen vertex of one, and its images on the other`;
+  Object.assign(figure, { className: "fm-explorer", role: "group", ariaLabel: alt, explored: {
+    shapes: [solid[i], solid[j]], vertices: [data.shapes[i].choice, data.shapes[j].choice],
+    states: views.map((view) => ({
+      view, noise: 0, temperature: "", images: view === "posterior" ? data.pairs[[i, j]].count : 1,
+      region: "radius" in ways[0][view], ways: ways.map((way) => way[view]),
+    })),
+    unit: 1, glow: 0.03, level: data.level,
+    start: [Math.max(0, views.indexOf(place.querySelector("div")?.dataset.view ?? "calibrated")), away.indexOf(Math.min(...away))],
+  } });
+  figure.textContent = "Open this page in a browser to choose a vertex."; // what paper shows
+  place.style.minHeight = `${place.offsetHeight}px`; // so that nothing jumps
+  place.replaceChildren(figure);
+  dispatchEvent(new Event("fm-explorer"));
 }
 
 function draw() {

@@ -10,14 +10,14 @@ require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 from fmsync.colours import colours_from_coordinates  # noqa: E402
 from fmsync.viz.explorer import Explorer, State, explorer, glow  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
-from fmsync.viz.loops import Loop, loop, walk_on_sphere  # noqa: E402
+from fmsync.viz.players import Player, player, walk_on_sphere  # noqa: E402
 from fmsync.viz.scenes import Scene, facing, scene  # noqa: E402
 
 __all__ = [
     "PALETTE",
     "Explorer",
-    "Loop",
     "Picture",
+    "Player",
     "Scene",
     "State",
     "colours_from_coordinates",
@@ -25,8 +25,8 @@ __all__ = [
     "facing",
     "glow",
     "heatmaps",
-    "loop",
     "picture",
+    "player",
     "scene",
     "style",
     "walk_on_sphere",

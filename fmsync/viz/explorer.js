@@ -63,7 +63,6 @@
       s.triangles = take(Uint16Array, 3 * s.faces);
       s.picks = take(Uint16Array, count); // drawn vertices that can be chosen
       if (data.truth) s.right = take(Uint16Array, count); // where they belong, drawn vertices of the other shape
-      prepare(s);
     });
     for (const state of data.states) {
       state.ways = data.vertices.map((own) => {
@@ -221,7 +220,8 @@
   // ---- one explorer
   async function build(figure) {
     figure.dataset.fm = "building";
-    const data = await unpack(figure.querySelector("script").textContent);
+    const data = figure.explored ?? await unpack(figure.querySelector("script").textContent); // a page may unpack its own
+    for (const s of data.shapes) s.normals ?? prepare(s);
     const root = figure.attachShadow({ mode: "open" });
     root.innerHTML = PAGE;
     const $ = (q) => root.querySelector(q), all = (q) => [...root.querySelectorAll(q)];
@@ -469,5 +469,6 @@
     }), { rootMargin: "400px" });
     document.querySelectorAll(".fm-explorer:not([data-fm])").forEach((figure) => near.observe(figure));
   }
+  addEventListener("fm-explorer", wake); // there is a new one
   if (document.readyState === "loading") addEventListener("DOMContentLoaded", wake); else wake();
 })();

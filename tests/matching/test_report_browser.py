@@ -1,4 +1,4 @@
-"""The report in a real browser, from disk: every pair can be chosen, and it turns when dragged."""
+"""The report in a real browser, from disk: pairs can be chosen, shapes turned, vertices asked where they go."""
 
 import base64
 import io
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.test_book_browser import ARGS, CHROME, _absent, drag
+from tests.test_book_browser import _SERIOUS, ARGS, AXE, CHROME, PHONE, WIDE, _absent, _blue, _drawn, _lit, _ready, drag
 
 pytestmark = pytest.mark.browser
 
@@ -17,7 +17,9 @@ def pixels(canvas) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(drawn))).convert("RGB"), dtype=int)
 
 
-def test_the_report_shows_every_pair_and_turns(written, tmp_path):
+@pytest.fixture
+def report(written, tmp_path):
+    """The page; whatever it asks of the network or complains about fails the test."""
     sync_api = pytest.importorskip("playwright.sync_api")
     if not CHROME:
         _absent("no chromium: apt-get install chromium, or name one in CHROME")
@@ -29,22 +31,71 @@ def test_the_report_shows_every_pair_and_turns(written, tmp_path):
         page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
         page.on("request", lambda r: None if r.url.startswith(("file:", "data:")) else wrong.append(r.url))
         page.goto((written.folder / "report.html").as_uri(), wait_until="load")
-        carried = page.locator("#carried")
-        said, seen = set(), set()
-        for i in range(3):
-            for j in range(3):
-                page.select_option("#from", str(i))
-                page.select_option("#to", str(j))
-                said.add(page.locator("#words").inner_text())
-                seen.add(pixels(carried).tobytes())
-        assert len(said) == 7  # six pairs, and a shape and itself
-        assert len(seen) == 9
-        before = pixels(carried)
-        assert len(np.unique(before.reshape(-1, 3), axis=0)) > 50, "blank"
-        drag(page, carried)
-        assert np.abs(pixels(carried) - before).mean() > 1, "it did not turn"
-        context.set_offline(True)
-        page.set_viewport_size({"width": 390, "height": 844})
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        yield page
         context.close()
     assert not wrong
+
+
+def test_the_report_shows_every_pair_and_turns(report):
+    carried = report.locator("#carried")
+    said, seen = set(), set()
+    for i in range(3):
+        for j in range(3):
+            report.select_option("#from", str(i))
+            report.select_option("#to", str(j))
+            said.add(report.locator("#words").inner_text())
+            seen.add(pixels(carried).tobytes())
+    assert len(said) == 7  # six pairs, and a shape and itself
+    assert len(seen) == 9
+    report.select_option("#to", "0")
+    assert len(np.unique(pixels(carried).reshape(-1, 3), axis=0)) > 50, "blank"
+    carried.scroll_into_view_if_needed()
+    before = pixels(carried)
+    drag(report, carried)
+    assert np.abs(pixels(carried) - before).mean() > 1, "it did not turn"
+    report.context.set_offline(True)
+    report.set_viewport_size(PHONE)
+    assert report.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.parametrize(("size", "theme"), [(WIDE, "light"), (PHONE, "dark")], ids=["wide", "phone"])
+def test_a_vertex_of_the_report_says_where_it_goes(report, written, size, theme):
+    report.set_viewport_size(size)
+    report.emulate_media(color_scheme=theme)
+    first = _ready(report)
+    assert (first["view"], first["from"]) == ("calibrated", "0")
+    report.locator("label", has_text="posterior").click()
+    canvases, words = report.locator("#explorer canvas"), report.locator("#explorer").get_by_role("status")
+    canvases.nth(0).scroll_into_view_if_needed()
+    box, body = canvases.nth(0).bounding_box(), _drawn(report, 0)[..., 3] == 255
+    down, across = (np.argwhere(body).mean(axis=0) + 0.5) / body.shape
+    canvases.nth(0).click(position={"x": across * box["width"], "y": down * box["height"]})
+    clicked = _ready(report)
+    assert clicked["vertex"] != first["vertex"]
+    assert words.inner_text().startswith(f"Vertex {clicked['vertex']} of cat1, posterior: 40 images at ")
+    assert len(_lit(report, 0)) == 0
+    assert len(_lit(report, 1)) > 20
+    canvases.nth(0).focus()
+    report.keyboard.press("ArrowRight")
+    moved = _ready(report)
+    assert moved["vertex"] != clicked["vertex"]
+    assert "cat1" in words.inner_text()
+    radii = []
+    for view in ("posterior", "calibrated"):
+        report.locator("label", has_text=view).click()
+        assert _ready(report)["view"] == view
+        assert _blue(report, 1) > 200  # the region
+        radii.append(float(words.inner_text().split("region ")[1].split()[0].removesuffix(".")))
+    table = np.genfromtxt(written.folder / "point_maps" / "cat1_to_cat0.csv", delimiter=",", names=True)
+    row = table[int(moved["vertex"])]
+    np.testing.assert_allclose(radii, [row["radius"], row["region"]], atol=0.006)
+    report.locator("label", has_text="observed").click()
+    assert "one image on cat0" in words.inner_text()
+    assert _blue(report, 1) < 20
+    report.select_option("#to", "2")  # another pair
+    report.locator("h4", has_text="cat2").wait_for(timeout=10_000)
+    assert _ready(report)["view"] == "observed"  # as before
+    report.add_script_tag(url=AXE)
+    assert report.evaluate(_SERIOUS, ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]) == []
+    assert report.evaluate(_SERIOUS, "color-contrast") == []
+    assert report.evaluate("document.documentElement.scrollWidth") <= size["width"]
