@@ -105,8 +105,8 @@ def _explored(
         "draws": base64.b64encode(zlib.compress(steps.astype("<u2").tobytes(), 9)).decode(),
         "count": images.shape[1],
         "centres": _packed(nearest[known.image[:_CHOICE]], "<u2"),
-        "radius": _packed(known.radius[:_CHOICE] / _STEP, "<u2"),
-        "region": _packed(radius[:_CHOICE] / _STEP, "<u2"),
+        "radius": _packed(np.minimum(known.radius[:_CHOICE] / _STEP, 65535), "<u2"),
+        "region": _packed(np.minimum(radius[:_CHOICE] / _STEP, 65535), "<u2"),
         "observed": None
         if observed is None
         else _packed(nearest[draw_images(*way, observed[None], _CHOICE)[0]], "<u2"),
