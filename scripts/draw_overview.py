@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
 import data_gen
@@ -146,15 +147,25 @@ def panel(story: Story, which: int, ax: Axes) -> None:
     ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
 
 
-if __name__ == "__main__":
-    told = compute()
+def save(fig: Figure, path: Path) -> None:
+    """A PNG without dates, so that the same drawing gives the same bytes."""
+    raw = io.BytesIO()
+    fig.savefig(raw, format="png", dpi=fig.dpi, facecolor="white", metadata={"Software": None})
+    plt.close(fig)
+    Image.open(raw).convert("RGB").save(path, optimize=True)
+
+
+def three_panels(story: Story) -> Figure:
+    """The whole picture, with a caption under each panel."""
     fig, axes = plt.subplots(1, 3, figsize=(9.6, 3.7), dpi=96, layout="none")
     fig.subplots_adjust(0, 0.12, 1, 1, 0.02, 0)
     for k, (axis, caption) in enumerate(zip(axes, _CAPTIONS)):
-        panel(told, k, axis)
+        panel(story, k, axis)
         axis.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
-    raw = io.BytesIO()
-    fig.savefig(raw, format="png", facecolor="white", metadata={"Software": None})  # the same bytes on another day
-    Image.open(raw).convert("RGB").save(IMAGES / "overview.png", optimize=True)
+    return fig
+
+
+if __name__ == "__main__":
+    save(three_panels(compute()), IMAGES / "overview.png")
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the page brings the script
     (IMAGES / "explorer.html").write_text(explorer().html() + "\n", encoding="utf-8")

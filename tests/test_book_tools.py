@@ -4,6 +4,7 @@ import base64
 import importlib.util
 import json
 import os
+import re
 import sys
 import zipfile
 import zlib
@@ -13,6 +14,7 @@ import nbformat
 import numpy as np
 import pytest
 from IPython.core.inputtransformer2 import TransformerManager
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -134,6 +136,12 @@ def test_pictures_stay_small():
     pictures = sorted((ROOT / "book" / "images").glob("*.png"))
     assert len(pictures) == 1
     assert all(picture.stat().st_size < 150_000 for picture in pictures)
+    gallery = sorted((ROOT / "book" / "images" / "gallery").iterdir())
+    page = (ROOT / "book" / "reference" / "gallery.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"gallery/(\w+\.png)", page)) == [picture.name for picture in gallery]
+    assert len(gallery) == 6
+    assert sum(picture.stat().st_size for picture in gallery) < 1_500_000
+    assert min(Image.open(picture).width for picture in gallery) >= 900  # two pixels for one
     explorer = (ROOT / "book" / "images" / "explorer.html").read_text(encoding="utf-8")
     assert len(explorer) < 300_000
     assert "DecompressionStream" not in explorer  # the script comes with the book, once
