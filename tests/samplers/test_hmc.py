@@ -194,8 +194,8 @@ def test_a_length_is_refused_by_mala():
 
 @pytest.fixture(scope="module")
 def exact_draws():
-    """Ten thousand chains on one edge of SO(3) in their stationary distribution, κ = 3."""
-    start = np.empty((10_000, 2, 3, 3))
+    """Five thousand chains on one edge of SO(3) in their stationary distribution, κ = 3."""
+    start = np.empty((5000, 2, 3, 3))
     start[:, 0] = np.eye(3)
     start[:, 1] = langevin_noise(3, 3.0, len(start), np.random.default_rng(0))
     return start
