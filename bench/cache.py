@@ -17,6 +17,7 @@ import fmsync
 from fmsync.files import replacing
 
 _MEASURED_BY = ("bench.measure", "bench.metrics", "bench.planted")
+HASHES: dict[tuple[str, int, int], str] = {}  # of files by path, time and size: workers get those of their parent
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -84,11 +85,15 @@ def code_hash(generator_module: str, method_module: str) -> str:
 
 @cache
 def _hash_of_code(file: Path) -> str:
+    key = str(file), file.stat().st_mtime_ns, file.stat().st_size
+    if key in HASHES:
+        return HASHES[key]
     tree = ast.parse(file.read_bytes())
     for node in ast.walk(tree):
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             del node.body[0]
-    return f"{file.name} {hashlib.sha256(ast.dump(tree).encode()).hexdigest()}"
+    HASHES[key] = f"{file.name} {hashlib.sha256(ast.dump(tree).encode()).hexdigest()}"
+    return HASHES[key]
 
 
 def data_hash(generator: str, problem: Mapping[str, object]) -> str:

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from bench import methods
+from bench.cache import HASHES
 from bench.measure import measure, method_rng
 from bench.planted import Planted
 from bench.provenance import machine, versions
@@ -50,7 +51,7 @@ def isolated(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
         worker = subprocess.Popen(_SERVE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         _WORKERS.add(worker)
     try:
-        pickle.dump((run, commit, replica), worker.stdin)
+        pickle.dump((run, commit, replica, dict(HASHES)), worker.stdin)
         worker.stdin.flush()
         record = pickle.load(worker.stdout)
     except (EOFError, OSError, pickle.UnpicklingError):
@@ -79,7 +80,8 @@ def serve() -> None:
     os.dup2(2, 1)  # what methods print must not come between the records
     with contextlib.suppress(EOFError):
         while True:
-            run, commit, replica = pickle.load(sys.stdin.buffer)
+            run, commit, replica, known = pickle.load(sys.stdin.buffer)
+            HASHES.update(known)
             pickle.dump(execute(run, commit, replica), records)
             records.flush()
 

@@ -59,6 +59,7 @@ def run(page: Path, arithmetic: str, shift: int, keep: Path) -> dict:
 
 def run_here(page: Path) -> dict:
     """Execute a page with the environment of this process, its claims recorded (see ``claims.py``)."""
+    sys.modules.setdefault("rfc3987_syntax", None)  # jsonschema goes without it, and it takes seconds to import
     from build_book import cpu_of_kernels, quiet_profile
     from jupyter_cache.executors.utils import single_nb_execution
     from myst_nb.core.read import read_myst_markdown_notebook

@@ -1,9 +1,14 @@
 """What every test file shares."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
+
+# Importing nbformat imports jsonschema, which would build forty parsers of web addresses: ten seconds in every worker.
+# No test checks such an address, and jsonschema goes without the package.
+sys.modules.setdefault("rfc3987_syntax", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

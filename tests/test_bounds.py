@@ -95,7 +95,7 @@ def test_recovery_threshold():
 def test_the_bound_of_small_errors_holds_where_it_says_so_and_is_crossed_elsewhere():
     """On a path the estimate is the product of the observations: the mean squared error is 2n(1 - c^L) exactly."""
     n, sigma2, edges = 15, 0.02, np.array([(i, i + 1) for i in range(6)])
-    noise = so.project(np.eye(n) + np.sqrt(sigma2) * np.random.default_rng(0).standard_normal((20_000, 6, n, n)))
+    noise = so.project(np.eye(n) + np.sqrt(sigma2) * np.random.default_rng(0).standard_normal((5000, 6, n, n)))
     cosine = bounds.projected_noise_moments(n, sigma2)[0] / n
     error = np.eye(n)
     for length in range(1, 7):

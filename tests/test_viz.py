@@ -250,7 +250,7 @@ def test_bad_players_are_refused():
         viz.player([*growing(1), *growing(1, (3, 3))], alt="Two sizes.")
 
     def noise():
-        for image in np.random.default_rng(0).random((12, 300, 300)):
+        for image in np.random.default_rng(0).random((4, 300, 300)):
             fig, ax = plt.subplots(figsize=(4, 4))
             ax.imshow(image, interpolation="nearest")
             yield fig
@@ -381,10 +381,13 @@ def test_bad_explorers_are_refused(changed, message):
         viz.explorer(**two_balls(**changed))
 
 
-def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl):
+def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl, monkeypatch):
+    module = sys.modules["fmsync.viz.explorer"]  # the package has a function of this name
+    assert module._MOST_BYTES == 1_000_000  # which take seconds to compress
+    monkeypatch.setattr(module, "_MOST_BYTES", 100_000)
     chosen = np.arange(600)
-    images = np.random.default_rng(0).integers(0, 802, (600, 600))
-    with pytest.raises(ValueError, match="give fewer vertices or states"):
-        viz.explorer(
-            [sphere(), sphere()], (chosen, chosen), [viz.State("map", (images, images)) for _ in range(3)], alt="Much."
-        )
+    images = np.random.default_rng(0).integers(0, 802, (600, 60))
+    state = viz.State("map", (images, images))
+    viz.explorer([sphere(), sphere()], (chosen, chosen), [state], alt="Enough.")
+    with pytest.raises(ValueError, match="give fewer vertices or states, 100000 at most"):
+        viz.explorer([sphere(), sphere()], (chosen, chosen), [state, state], alt="Much.")

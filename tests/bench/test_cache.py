@@ -78,7 +78,7 @@ def package(tmp_path, monkeypatch):
 
 def forget():
     """What a new process does not know."""
-    caching.code_hash.cache_clear(), caching._hash_of_code.cache_clear()
+    caching.code_hash.cache_clear(), caching._hash_of_code.cache_clear(), caching.HASHES.clear()
 
 
 @pytest.mark.parametrize(

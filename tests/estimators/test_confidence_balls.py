@@ -66,7 +66,7 @@ def test_weights_and_cycles_against_dense_least_squares():
 )
 def test_balls_hold_the_truth_as_often_as_they_say(method, noise, n_nodes, density):
     n, shares = 4, []
-    for seed in range(400):
+    for seed in range(200):
         graph = data_gen.random_graph(n_nodes, density, rng=seed)
         truth = data_gen.planted(n_nodes, n, graph, rng=[seed, 1])
         estimate = fmsync.solve(data_gen.perturb(truth, rng=[seed, 2], **noise), method)

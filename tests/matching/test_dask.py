@@ -5,14 +5,16 @@ import pytest
 from joblib import parallel_config
 
 import fmsync
+from fmsync.matching import samples, synchronize
 from tests.matching.conftest import OPTIONS
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
-def test_a_cluster_gives_the_maps_of_this_process(cats, tmp_path):
+def test_a_cluster_gives_the_maps_of_this_process(cats, tmp_path, monkeypatch):
     here = fmsync.synchronize_shapes(cats[:3], n_draws=0, **OPTIONS)
+    monkeypatch.setattr(synchronize, "sample_shape", samples.sample_shape)  # what other processes can import
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     )

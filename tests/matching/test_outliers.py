@@ -12,7 +12,6 @@ from fmsync.cli import main
 from fmsync.matching import outliers, synchronize
 from fmsync.matching.outliers import OutlierWarning, among, groups
 from fmsync.matching.quality import quality_flags
-from fmsync.matching.samples import sample_shape
 from fmsync.shape import Shape
 from tests.matching.conftest import write_off
 
@@ -52,7 +51,7 @@ def test_planted_groups_are_found_in_any_order(seed):
 
 
 def test_an_outlier_is_named_or_left_out_as_if_it_had_not_been_given(own, strangers):
-    spectra = outliers.spectral_distances([sample_shape(s, 50, 300) for s in [*own, *strangers]])
+    spectra = outliers.spectral_distances([synchronize.sample_shape(s, 50, 300, 10, None) for s in [*own, *strangers]])
     assert len(groups(spectra, outliers.SPECTRUM)) == 1
     alone = fmsync.synchronize_shapes(own, **FULL)
     assert alone.outliers == ()

@@ -226,8 +226,8 @@ def test_failures_are_one_line(folder, tmp_path, monkeypatch, capsys):
     assert "it is a file" in capsys.readouterr().err
 
 
-def test_a_closed_stdout_is_not_a_traceback(folder, tmp_path):
-    command = [sys.executable, "-m", "fmsync.cli", "sync", str(folder), "-o", str(tmp_path / "out"), *QUICK]
+def test_a_closed_stdout_is_not_a_traceback(folder):
+    command = [sys.executable, "-m", "fmsync.cli", "info", str(folder)]  # of the commands the one that starts fastest
     read, write = os.pipe()
     os.close(read)
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)

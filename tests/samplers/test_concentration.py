@@ -14,10 +14,9 @@ from tests.samplers.helpers import noisy
 @pytest.mark.parametrize("n", [2, 3, 4, 9, 20])
 def test_table_of_the_normaliser(n):
     kappa = np.exp(np.random.default_rng(n).uniform(np.log(1e-4), np.log(1e5), 200))
-    exact = np.concatenate([np.atleast_1d(langevin.log_normaliser(n, k)) for k in kappa])
     table = concentration.normaliser_table(n)
     ours = np.array([concentration.interpolated_log_normaliser(k, table) for k in kappa])
-    np.testing.assert_allclose(ours, exact, rtol=1e-8)
+    np.testing.assert_allclose(ours, langevin.log_normaliser(n, kappa), rtol=1e-8)
 
 
 @pytest.mark.parametrize(("trace", "count"), [(1.0, 3.0), (40.0, 15.0), (44.9999, 15.0)])
@@ -27,8 +26,7 @@ def test_concentration_step_against_quadrature(trace, count):
     for t in range(len(draws)):
         draws[t] = kappa = concentration.draw_kappa(kappa, trace, count, 3, table, state)
     grid = np.geomspace(1e-6, 1e5, 2500)  # equal steps in log κ: the density gains a factor κ
-    normaliser = np.array([float(langevin.log_normaliser(3, k)) for k in grid])
-    density = grid * trace - count * normaliser + np.log(grid)
+    density = grid * trace - count * langevin.log_normaliser(3, grid) + np.log(grid)
     weight = np.exp(density - density.max())
     weight[[0, -1]] /= 2
     mean = (weight @ grid) / weight.sum()

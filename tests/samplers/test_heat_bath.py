@@ -30,10 +30,10 @@ def test_without_data_draws_are_haar():
 
 def test_energy_is_that_of_the_draws_and_the_group_is_not_left():
     p = noisy(3, 3)
-    post = fmsync.sample(p, "heat-bath", kappa=8.0, n_chains=1, n_draws=3, thin=40_000, warmup=0, rng=0)
+    post = fmsync.sample(p, "heat-bath", kappa=8.0, n_chains=1, n_draws=3, thin=4000, warmup=0, rng=0)
     last = post.absolute[0, -1]
-    assert np.abs(so.transpose(last) @ last - np.eye(3)).max() < 1e-10
-    np.testing.assert_allclose(post.energy, fmsync.energy.energy(p, post.absolute), atol=1e-9)
+    assert np.abs(so.transpose(last) @ last - np.eye(3)).max() < 1e-14  # 1e-13 if rotations were not repaired
+    np.testing.assert_allclose(post.energy, fmsync.energy.energy(p, post.absolute), atol=1e-12)
 
 
 def test_prior_is_sampled_with_its_own_concentration():

@@ -62,11 +62,11 @@ def test_gradient_of_the_potential_by_differences(energy):
 def test_one_edge_of_so20(method, options, kappa, exact):
     p = one_edge(20)
     thin = 10 if method == "mala" else 1
-    options = {"n_chains": 32, "n_draws": 150, "warmup": 200 * min(thin, 3), "thin": thin} | options
-    post = fmsync.sample(p, method, kappa=kappa, rng=1, **options)
+    run = {"n_draws": 60, "warmup": 300} if method == "mala" else {"n_draws": 100, "warmup": 150}
+    post = fmsync.sample(p, method, kappa=kappa, rng=1, n_chains=16, thin=thin, **run, **options)
     mean, error = mean_and_error((p.constant - post.energy) / 2)
     assert abs(mean - exact) < 4 * error
-    assert error < 0.06
+    assert error < 0.1  # without the Metropolis test the mean is 7 errors and more off at κ >= 10
     assert abs(post.settings["acceptance"] - {"hmc": 0.8, "mala": 0.574}[method]) < 0.1
 
 
@@ -194,8 +194,8 @@ def test_a_length_is_refused_by_mala():
 
 @pytest.fixture(scope="module")
 def exact_draws():
-    """Ten thousand chains on one edge of SO(3) in their stationary distribution, κ = 3."""
-    start = np.empty((10_000, 2, 3, 3))
+    """Five thousand chains on one edge of SO(3) in their stationary distribution, κ = 3."""
+    start = np.empty((5000, 2, 3, 3))
     start[:, 0] = np.eye(3)
     start[:, 1] = langevin_noise(3, 3.0, len(start), np.random.default_rng(0))
     return start

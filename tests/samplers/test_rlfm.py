@@ -91,12 +91,12 @@ def test_geodesic_energy_on_the_circle():
     """On SO(2) it is quadratic: the chain is linear and its stationary variance 1 / (4 β (1 - 2h)) exact at any h."""
     p, beta, h = one_edge(2), 2.0, 0.1
     post = fmsync.sample(
-        p, energy="geodesic", beta=beta, step=h, n_chains=200, n_draws=100, warmup=60, thin=10, init="random", rng=6
+        p, energy="geodesic", beta=beta, step=h, n_chains=100, n_draws=100, warmup=60, thin=10, init="random", rng=6
     )
     angle_squared, error = mean_and_error(post.energy / 2)
     exact = 1 / (4 * beta * (1 - 2 * h))
     assert abs(angle_squared - exact) < 4 * error
-    assert error < 0.015 * exact
+    assert error < 0.02 * exact  # at step 0 it is a fifth smaller
 
 
 def test_both_energies_agree_where_the_posterior_is_narrow():
