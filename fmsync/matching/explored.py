@@ -24,6 +24,7 @@ def explore(
     alt: str,
     level: float = 0.9,
     common_order: bool = False,
+    vertex: int | None = None,
 ) -> Explorer:
     """Two synchronised shapes to explore: images of their vertices as observed, synchronised, drawn and calibrated.
 
@@ -33,6 +34,7 @@ def explore(
       regions are to hold.
     * ``alt``, ``common_order``: a sentence or two that say what is shown; whether vertex x of one shape is known to
       belong to x of the other.
+    * ``vertex``: of the first shape; the nearest vertex to choose from is chosen at first.
     """
     ways = (pair, pair[::-1])
     states = []
@@ -54,8 +56,15 @@ def explore(
     synced = next(iter(worlds.values()))
     choice = [synced.shapes[k].samples[:_CHOICE] for k in pair]
     shapes = [synced.shapes[k].shape for k in pair]
+    row = (
+        None
+        if vertex is None
+        else int(np.linalg.norm(shapes[0].vertices[choice[0]] - shapes[0].vertices[vertex], axis=1).argmin())
+    )
     first = max(n for n, s in enumerate(states) if s.view == "posterior" and s.noise == states[0].noise)
-    return explorer(shapes, choice, states, alt=alt, truth=choice if common_order else None, level=level, start=first)
+    return explorer(
+        shapes, choice, states, alt=alt, truth=choice if common_order else None, level=level, start=first, vertex=row
+    )
 
 
 def _images(synced: SyncedShapes, i: int, j: int, maps: np.ndarray) -> np.ndarray:

@@ -32,7 +32,8 @@ def test_every_view_agrees_with_the_synchronised_shapes(synced, asked):
         other = synchronize_matches(synced.shapes, synced.edges, noisy, 12, 30, 100, 0)
         hot = replace(synced, posterior=fmsync.sample(synced.problem, "heat-bath", beta=1.0, n_draws=50, warmup=20))
     worlds = {(0.0, "β = 1"): hot, (0.0, "κ inferred"): synced, (0.1, "κ inferred"): other}
-    shapes, choice, states, options = asked(worlds, (2, 1), common_order=True)
+    shapes, choice, states, options = asked(worlds, (2, 1), common_order=True, vertex=int(synced.shapes[2].samples[7]))
+    assert options["vertex"] == 7
     assert [s.name for s in shapes] == [synced.names[2], synced.names[1]]
     np.testing.assert_array_equal(choice[0], synced.shapes[2].samples[:160])
     assert options["truth"] is choice
