@@ -14,6 +14,7 @@ from fmsync.shape import Basis, Shape
 
 Maps = Mapping[tuple[int, int], Any]  # an array, a list of arrays, or arrays by the names of their matchers or files
 _ORTHONORMAL = 1e-2  # largest entry of ΦᵀAΦ - I
+_ROUGH = 1  # mean squared step of the first function along edges over its variance: 2 in a random order of vertices
 _SEEN = 0.1  # functions that the matched vertices see less of than this, of the best seen one, are left out of the fit
 _TURN = "rename the file, or exchange i and j"
 _REVERSED = 0.5  # a map whose distortion falls below this share of itself when it is read in reverse is reversed
@@ -117,6 +118,11 @@ def _check_bases(bases: Sequence[Basis], shapes: Sequence[Shape], n_basis: int) 
         error = np.abs(basis.coefficients(basis.eigenfunctions) - np.eye(basis.n)).max()
         if not error <= _ORTHONORMAL:
             raise ValueError(f"{name}: not orthonormal, ΦᵀAΦ is off by {error:.2g}; scale it, or give the mass it has")
+        if shape.faces is not None and basis.n > 1:
+            first = basis.eigenfunctions[:, 1]
+            steps = first[shape.faces] - first[np.roll(shape.faces, 1, axis=1)]  # (F, 3), along the edges
+            if (steps**2).mean() > _ROUGH * np.var(first):
+                raise ValueError(f"{name}: its functions jump along edges; it is of another mesh or order of vertices")
 
 
 def observed(
@@ -150,7 +156,9 @@ def given_matches(
     """The maps in our bases with their scores; a ValueError names those that are far better in reverse."""
     found, turned, light = [], [], [s.light(FINE) for s in shapes]
     for g in given:
-        ends = [(g.i, g.j)] + [(g.j, g.i)] * (g.matrix.shape[0] == g.matrix.shape[1])
+        rows, columns = g.matrix.shape
+        fits = isinstance(g.matrix, np.ndarray) and (not bases or (rows <= bases[g.j].n and columns <= bases[g.i].n))
+        ends = [(g.i, g.j)] + [(g.j, g.i)] * (rows == columns or fits)
         read = []
         for i, j in ends:
             c = observed(g, shapes[i], shapes[j], None if bases is None else (bases[i], bases[j]))

@@ -84,9 +84,20 @@ class SyncedShapes:
         return found
 
     @checks.checked(i="< N", j="< N")
-    def functional_map(self, i: int, j: int) -> np.ndarray:
-        """Synchronised map C_ij (m, m), of rank M, in the bases of ``shapes``."""
-        return self.refined[i].T @ self.refined[j]
+    def functional_map(self, i: int, j: int, bases: Sequence[Basis] | None = None) -> np.ndarray:
+        """Synchronised map C_ij of rank M, (m, m) in the bases of ``shapes``, whose signs are ours.
+
+        Or (n_i, n_j) between other ``bases`` of these shapes, such as those that came with given maps.
+        """
+        c = self.refined[i].T @ self.refined[j]
+        if bases is None:
+            return c
+        ours = [self.shapes[k].basis.truncated(len(c)).eigenfunctions for k in (i, j)]
+        return (
+            bases[i].coefficients(ours[0])
+            @ c
+            @ self.shapes[j].basis.truncated(len(c)).coefficients(bases[j].eigenfunctions)
+        )
 
     @checks.checked(i="< N", vertices="K < V")
     def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -186,7 +197,8 @@ def synchronize_shapes(
       is a point map (V_i,) of vertices of j counted from zero, -1 for unmatched ones; a ``scipy.sparse`` matrix a soft
       map (V_i, V_j), rows summing to at most one; any other matrix a functional map C_ij (n_i, n_j), from coefficients
       on j to those on i, n_i and n_j >= ``n_basis``, in the first functions of ``bases`` or, without these, of
-      :func:`fmsync.laplace_beltrami`. A map that does not fit, or fits far better in reverse, is a ValueError.
+      :func:`fmsync.laplace_beltrami` alone: other programs choose other signs. A map that does not fit, or fits far
+      better in reverse, is a ValueError.
     * ``n_basis``, ``n_refined``: size n of the maps that are sampled, and m >= n of those that carry points.
     * ``n_samples``, ``n_draws``: samples of each shape, at least n, and posterior draws (0 for none).
     * ``graph``: ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j)

@@ -171,6 +171,27 @@ def test_a_wrong_direction_is_said(shapes, rough, truth):
         synced_from(shapes, maps)
 
 
+def test_a_wrong_direction_of_rectangular_maps_is_said(shapes, bases, truth):
+    own = in_other_bases(bases)
+    maps = {(i, j): fmsync.functional_map(own[i], own[j], truth[i, j])[:, :29] for i, j in PAIRS}
+    maps[1, 3] = fmsync.functional_map(own[3], own[1], truth[3, 1])[:, :29]
+    with pytest.raises(ValueError, match=r"^maps\[1, 3\] \(cat1 to cat3\): keeps distances far better"):
+        synced_from(shapes, maps, bases=own)
+
+
+def test_maps_come_back_in_the_bases_that_were_handed_in(synced, bases):
+    others = in_other_bases(bases)
+    ours, c = synced.functional_map(1, 3), synced.functional_map(1, 3, others)
+    m = len(ours)
+    one, three = (synced.shapes[k].basis.truncated(m) for k in (1, 3))
+    function = others[3].eigenfunctions[:, 4]  # carried from shape 3 to shape 1 both ways
+    np.testing.assert_allclose(
+        others[1].eigenfunctions @ c[:, 4], one.eigenfunctions @ ours @ three.coefficients(function), atol=1e-6
+    )
+    flipped = [Basis(s.basis.eigenvalues, -s.basis.eigenfunctions, s.basis.mass) for s in synced.shapes]
+    np.testing.assert_allclose(synced.functional_map(1, 3, flipped), synced.functional_map(1, 3), atol=1e-9)
+
+
 def smaller(shape):
     """Another number of vertices."""
     import pyvista as pv
@@ -226,9 +247,12 @@ def test_graphs_and_bases_are_refused_before_long_work(shapes, bases, monkeypatc
     two, c = shapes[:2], {(0, 1): np.eye(12)}
     doubled = Basis(bases[1].eigenvalues, 2 * bases[1].eigenfunctions, bases[1].mass)
     short = Basis(bases[1].eigenvalues, bases[1].eigenfunctions[1:], bases[1].mass[1:])
+    order = np.random.default_rng(0).permutation(V)
+    mixed = Basis(bases[1].eigenvalues, bases[1].eigenfunctions[order], bases[1].mass[order])
     for own, said in (
         ([bases[0], doubled], r"bases\[1\] \(of cat1\): not orthonormal, .* off by 3"),
         ([bases[0]], "bases: 1 for 2 shapes"),
+        ([bases[0], mixed], r"bases\[1\] \(of cat1\): its functions jump along edges; .* another mesh or order"),
         ([bases[0], short], r"bases\[1\] \(of cat1\): 30 functions on 999 vertices"),
         ([bases[0], bases[1].truncated(5)], r"bases\[1\] .* 5 functions .* n_basis = 12"),
     ):
