@@ -92,12 +92,8 @@ class SyncedShapes:
         c = self.refined[i].T @ self.refined[j]
         if bases is None:
             return c
-        ours = [self.shapes[k].basis.truncated(len(c)).eigenfunctions for k in (i, j)]
-        return (
-            bases[i].coefficients(ours[0])
-            @ c
-            @ self.shapes[j].basis.truncated(len(c)).coefficients(bases[j].eigenfunctions)
-        )
+        ours = [self.shapes[k].basis.truncated(len(c)) for k in (i, j)]
+        return bases[i].coefficients(ours[0].eigenfunctions) @ c @ ours[1].coefficients(bases[j].eigenfunctions)
 
     @checks.checked(i="< N", vertices="K < V")
     def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
