@@ -273,7 +273,7 @@ def _draw_vtk(
         mesh["colour"] = np.round(255 * colours).astype(np.uint8)
         plotter.add_mesh(mesh, scalars="colour", rgb=True, **light)
         for j, mark in enumerate(marks):
-            ball = pv.Sphere(radius=0.009 * distance, center=mark, theta_resolution=14, phi_resolution=10)
+            ball = pv.Sphere(radius=0.011 * distance, center=mark, theta_resolution=14, phi_resolution=10)
             plotter.add_mesh(ball, color=PALETTE[j % len(PALETTE)], smooth_shading=True)
     plotter.link_views()
     camera = plotter.camera
