@@ -366,19 +366,37 @@ def test_players_run_and_rest_and_obey_keys(opened):
     assert np.abs(start - end).mean() > 0.5
     page.keyboard.press("ArrowRight")
     assert slider.input_value() == "1"
-    button = figure.get_by_role("button")
-    button.click()
-    assert button.inner_text() == "Pause"
-    page.wait_for_function("(s) => +s.value > 1", arg=slider.element_handle(), timeout=5000)
-    button.click()
-    assert button.inner_text() == "Play"
+    assert figure.evaluate(_PLAY_AND_PAUSE) == ["Pause", "Play", True]
     page.emulate_media(reduced_motion="no-preference")
+    page.add_init_script(_PLAYED)  # on a busy machine it may be over before the page has loaded
     page.reload()
-    frame.scroll_into_view_if_needed()
-    page.wait_for_function("(s) => s.value !== s.max", arg=slider.element_handle(), timeout=5000)  # by itself, once
+    for _ in range(100):  # formulas that are drawn move it away again
+        frame.scroll_into_view_if_needed()
+        if page.evaluate("window.played === true"):  # by itself, once
+            break
+        page.wait_for_timeout(100)
+    else:
+        pytest.fail("the player did not start when it was seen")
     page.emulate_media(media="print")
     assert still.is_visible()
     assert not frame.is_visible()
+
+
+# in the page, because on a busy machine the frames may be over before a second click arrives
+_PLAY_AND_PAUSE = """(figure) => new Promise((done) => {
+  const [button, slider] = ["button", "input"].map((q) => figure.querySelector(q));
+  button.click();
+  const playing = button.textContent, poll = setInterval(() => {
+    if (+slider.value < 3) return;
+    clearInterval(poll);
+    button.click();
+    const rests = slider.value;
+    setTimeout(() => done([playing, button.textContent, slider.value === rests]), 600);
+  }, 5);
+})"""
+_PLAYED = """new MutationObserver(() => {
+  if (document.querySelector(".fm-moving button")?.textContent === "Pause") window.played = true;
+}).observe(document, { childList: true, subtree: true, characterData: true });"""
 
 
 def _resized(source: str, like: np.ndarray) -> np.ndarray:

@@ -43,8 +43,8 @@ _SCRIPT = """for (const f of document.querySelectorAll(".fm-moving:not([data-fm]
   button.onclick = () => (timer ? stop() : play());
   slider.oninput = () => { stop(); show(+slider.value); };
   if (matchMedia("(prefers-reduced-motion: reduce)").matches) continue;
-  new IntersectionObserver(([e], seen) => {
-    if (!e.isIntersecting) return;
+  new IntersectionObserver((entries, seen) => {
+    if (!entries.some((e) => e.isIntersecting)) return;
     seen.disconnect();
     if (!timer && +slider.value === last) play();
   }, { threshold: 0.9 }).observe(frame);
@@ -83,7 +83,8 @@ class Player(Picture):
             f'<div class="fm-frame" role="img" aria-label="{html.escape(self.alt)}" '
             f'style="{shape};background:{image} {place}/{100 * self.columns}% {100 * rows}%"></div>{paper}'
             '<div class="fm-controls"><button type="button">Play</button> '
-            f'<input type="range" min="0" max="{last}" value="{last}" aria-label="frame"></div>'
+            f'<input type="range" min="0" max="{last}" value="{last}" autocomplete="off" '
+            'aria-label="frame"></div>'
             f"<script>{_SCRIPT}</script></figure>"
         )
 
