@@ -62,8 +62,10 @@ def perturb(
     if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
         raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
     generator = np.random.default_rng(rng)
-    record: dict[str, object] = {
-        **{"noise": noise, "sigma2": sigma2, "kappa": kappa, "around": around, "two_way": two_way, "repeats": repeats},
+    record: dict[str, object] = {"noise": noise, "sigma2": sigma2, "kappa": kappa, "around": around}
+    record |= {
+        "two_way": two_way,
+        "repeats": repeats,
         "outliers": outliers,
         "outlier_kind": outlier_kind if outliers > 0 else None,
         "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,

@@ -302,7 +302,7 @@ def edge_name(edges: np.ndarray, e: int) -> str:
     return f"edge {e} ({edges[e, 0]}, {edges[e, 1]})"
 
 
-def freeze(instance: object, **fields: object) -> None:
+def set_fields(instance: object, **fields: object) -> None:
     """Set fields of a frozen dataclass, whose arrays are read-only from now on."""
     for name, value in fields.items():
         if isinstance(value, np.ndarray):

@@ -66,7 +66,7 @@ class SyncProblem:
         if bad.size:
             raise ValueError(f"maps: {checks.edge_name(edges, bad[0])} holds NaN or infinity")
         arrays = {"edges": edges, "maps": maps, "weights": checks.edge_weights(weights, edges)}
-        checks.freeze(self, n_nodes=n_nodes, **arrays, provenance={} if provenance is None else provenance)
+        checks.set_fields(self, n_nodes=n_nodes, **arrays, provenance={} if provenance is None else provenance)
 
     @property
     def n(self) -> int:
@@ -162,7 +162,7 @@ class LangevinPrior:
             raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")
         if not kappa.any():
             raise ValueError("kappa: all concentrations are 0; leave the prior out instead")
-        checks.freeze(self, mean=mean, kappa=kappa)
+        checks.set_fields(self, mean=mean, kappa=kappa)
 
 
 @checks.checked(kappa=checks.positive)

@@ -41,7 +41,7 @@ class Shape:
             raise ValueError(f"name: expected a string, got {self.name!r}")
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
         faces = None if faces is None else np.ascontiguousarray(faces)
-        checks.freeze(self, vertices=np.ascontiguousarray(vertices), faces=faces)
+        checks.set_fields(self, vertices=np.ascontiguousarray(vertices), faces=faces)
 
     @property
     def n_vertices(self) -> int:
@@ -80,7 +80,7 @@ class Basis:
 
     def __post_init__(self) -> None:
         for field in ("eigenvalues", "eigenfunctions", "mass"):
-            checks.freeze(self, **{field: checks.array(field, getattr(self, field)).astype(np.float64, order="C")})
+            checks.set_fields(self, **{field: checks.array(field, getattr(self, field)).astype(np.float64, order="C")})
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
             shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
             raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")

@@ -103,7 +103,7 @@ def calibration(coverage: pd.DataFrame) -> Figure:
     promised = (0.5, 0.8, 0.9, 0.95)
     names = {
         "projected-gaussian": "the exact likelihood",
-        "langevin": "Langevin likelihood, matched κ",
+        "langevin": "Langevin likelihood, κ inferred",
         "beta = 1": "β = 1",
     }
     rows = coverage[coverage.noise == "projected-gaussian"]

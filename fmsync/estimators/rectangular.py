@@ -68,7 +68,7 @@ class RectangularSyncProblem:
                     before = f"edge {first[node]} gave it {sizes[node]}; use one basis per shape"
                     raise ValueError(f"maps: {name} gives node {node} {size} basis functions, {before}")
             observed.setflags(write=False)
-        checks.freeze(self, n_nodes=n_nodes, edges=edges, maps=checked, weights=weights, sizes=sizes)
+        checks.set_fields(self, n_nodes=n_nodes, edges=edges, maps=checked, weights=weights, sizes=sizes)
 
     @cached_property
     def padded(self) -> np.ndarray:

@@ -56,15 +56,12 @@ def explore(
     synced = next(iter(worlds.values()))
     choice = [synced.shapes[k].samples[:_CHOICE] for k in pair]
     shapes = [synced.shapes[k].shape for k in pair]
-    row = (
-        None
-        if vertex is None
-        else int(np.linalg.norm(shapes[0].vertices[choice[0]] - shapes[0].vertices[vertex], axis=1).argmin())
-    )
+    row = None
+    if vertex is not None:
+        row = int(nearest_rows(shapes[0].vertices[[vertex]], shapes[0].vertices[choice[0]])[0])
     first = max(n for n, s in enumerate(states) if s.view == "posterior" and s.noise == states[0].noise)
-    return explorer(
-        shapes, choice, states, alt=alt, truth=choice if common_order else None, level=level, start=first, vertex=row
-    )
+    truth = choice if common_order else None
+    return explorer(shapes, choice, states, alt=alt, truth=truth, level=level, start=first, vertex=row)
 
 
 def _images(synced: SyncedShapes, i: int, j: int, maps: np.ndarray) -> np.ndarray:

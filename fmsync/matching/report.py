@@ -69,9 +69,8 @@ def _data(
         colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
         drawing = {"size": size, "points": points, "faces": _packed(faces, "<u2"), "colours": colours}
         choice = s.samples[:_CHOICE].tolist()
-        picks = cKDTree(s.shape.vertices[vertices]).query(s.shape.vertices[s.samples])[
-            1
-        ]  # the drawn one of each sample
+        drawn = cKDTree(s.shape.vertices[vertices])
+        picks = drawn.query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
         nearest.append(picks)
         shapes.append({"name": s.shape.name, "choice": choice, "picks": _packed(picks[:_CHOICE], "<u2")} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
@@ -94,12 +93,10 @@ def _explored(
     synced: SyncedShapes, i: int, j: int, known: Confidence, radius: np.ndarray, nearest: np.ndarray, n_draws: int
 ) -> dict[str, object]:
     """Where the vertices to choose from go, as drawn vertices of j, the ``nearest`` (S_j,) of its samples."""
-    way, draws, observed = (
-        (synced.shapes[i], synced.shapes[j]),
-        synced.draws(i, j, n_draws),
-        synced.observed.get((i, j)),
-    )
-    images = np.sort(nearest[draw_images(*way, draws, _CHOICE)].T, axis=1)
+    way, observed = (synced.shapes[i], synced.shapes[j]), None
+    if (i, j) in synced.observed:
+        observed = _packed(nearest[draw_images(*way, synced.observed[i, j][None], _CHOICE)[0]], "<u2")
+    images = np.sort(nearest[draw_images(*way, synced.draws(i, j, n_draws), _CHOICE)].T, axis=1)
     steps = np.diff(images, axis=1, prepend=0)  # pack better
     return {
         "draws": base64.b64encode(zlib.compress(steps.astype("<u2").tobytes(), 9)).decode(),
@@ -107,9 +104,7 @@ def _explored(
         "centres": _packed(nearest[known.image[:_CHOICE]], "<u2"),
         "radius": _packed(np.minimum(known.radius[:_CHOICE] / _STEP, 65535), "<u2"),
         "region": _packed(np.minimum(radius[:_CHOICE] / _STEP, 65535), "<u2"),
-        "observed": None
-        if observed is None
-        else _packed(nearest[draw_images(*way, observed[None], _CHOICE)[0]], "<u2"),
+        "observed": observed,
     }
 
 
