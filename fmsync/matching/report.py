@@ -69,8 +69,8 @@ def _data(
         colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
         drawing = {"size": size, "points": points, "faces": _packed(faces, "<u2"), "colours": colours}
         choice = s.samples[:_CHOICE].tolist()
-        drawn = cKDTree(s.shape.vertices[vertices])
-        picks = drawn.query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
+        tree = cKDTree(s.shape.vertices[vertices])
+        picks = tree.query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
         nearest.append(picks)
         shapes.append({"name": s.shape.name, "choice": choice, "picks": _packed(picks[:_CHOICE], "<u2")} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
