@@ -7,16 +7,64 @@ density 1. Given everything else the indicators z are independent,
     \operatorname{logit} p + \kappa\operatorname{tr}(C_{ij}^\top C_i^\top C_j) - \log c_n(\kappa),
 
 and given them the maps see the inliers alone, p is beta distributed, uniform a priori, and κ is that of the inliers.
+
+With the indicators fixed a map hardly leaves what its present inliers say. So every sweep begins with a jump of each
+map, the indicators summed out: two of its neighbours, drawn at random, say :math:`A_j, A_k` for it;
+:math:`C_i \to A_j A_k^\top C_i` keeps the Haar measure, is as likely as its way back, and is accepted by the ratio of
+:math:`\prod_e(1-p+p\,e^{\kappa\operatorname{tr}}/c_n(\kappa))` over the maps of i.
 """
 
+import numba
 import numpy as np
 from scipy.special import betaincinv, expit, logit
 
 from fmsync import checks
 from fmsync.samplers.base import Target
 from fmsync.samplers.concentration import Concentration
-from fmsync.samplers.plane_rotations import node_blocks
-from fmsync.samplers.random_streams import LANES, fill
+from fmsync.samplers.plane_rotations import inner, node_blocks
+from fmsync.samplers.random_streams import LANES, fill, uniform
+
+
+@numba.njit(cache=True, nogil=True)
+def jump(
+    x: np.ndarray,
+    maps: np.ndarray,
+    start: np.ndarray,
+    edge: np.ndarray,
+    other: np.ndarray,
+    forward: np.ndarray,
+    field: np.ndarray,
+    exponent: np.ndarray,
+    prior: np.ndarray,
+    states: np.ndarray,
+) -> None:
+    r"""One jump of every map of every chain from what one of its neighbours says to what another says.
+
+    Transposed maps x (K, N, n, n) change in place; ``exponent`` (K, 2) are κ and log c_n(κ), ``prior`` (K,) is logit p,
+    the rest as for :func:`~fmsync.samplers.plane_rotations.sweep`.
+    """
+    n = x.shape[-1]
+    for k in range(len(x)):
+        for i in range(x.shape[1]):
+            degree = start[i + 1] - start[i]
+            if degree < 2:
+                continue
+            said = np.empty((degree, n, n))  # A_jᵀ
+            for t in range(degree):
+                m = maps[edge[start[i] + t]]
+                np.dot(np.ascontiguousarray(m.T) if forward[start[i] + t] else m, x[k, other[start[i] + t]], said[t])
+            a = int(degree * uniform(states[k]))
+            b = (a + 1 + int((degree - 1) * uniform(states[k]))) % degree
+            proposal = np.dot(np.dot(x[k, i], np.ascontiguousarray(said[a].T)), said[b])
+            gain = 0.0
+            for t in range(degree):
+                offset = prior[k] - exponent[k, 1]
+                gain += np.logaddexp(0.0, offset + exponent[k, 0] * inner(said[t], proposal))
+                gain -= np.logaddexp(0.0, offset + exponent[k, 0] * inner(said[t], x[k, i]))
+            if len(field):
+                gain += np.sum(field[i] * (proposal - x[k, i]))
+            if np.log(uniform(states[k])) < gain:  # a step towards O(n), or rounding would grow from jump to jump
+                x[k, i] = 1.5 * proposal - 0.5 * np.dot(np.dot(proposal, np.ascontiguousarray(proposal.T)), proposal)
 
 
 class Inliers:
@@ -30,6 +78,7 @@ class Inliers:
         checks.rotations("maps (node = edge)", p.maps)
         if (p.weights != 1).any():
             raise ValueError("weights: likelihood='mixture' needs weights 1; repeat an edge instead")
+        self._field = target.field
         self._concentration = Concentration(target, n_chains, rng)
         self.kappa, self.inferred = self._concentration.value, self._concentration.inferred
         self._share = np.full(n_chains, 0.5)
@@ -42,9 +91,13 @@ class Inliers:
 
         ``powers`` (K,) multiply the log-likelihood of the inliers.
         """
-        p, traces = self._problem, self._traces(x)
+        p = self._problem
+        start, edge, other, forward = p.incidence
+        if infer:
+            exponent = powers[:, None] * np.stack([self.kappa, self._concentration.log_normaliser()], axis=1)
+            jump(x, p.maps, start, edge, other, forward, self._field, exponent, logit(self._share), states)
+        traces = self._traces(x)
         chances = self._chances(self._gains(traces) * powers[:, None])
-        start, edge, _, forward = p.incidence
         for k in range(len(x) if infer else 0):
             fill(states[k], self._numbers)
             first, *numbers = self._numbers.flat[: p.n_edges + 1]

@@ -107,7 +107,7 @@ def sweep(
                 gathered[t * n : (t + 1) * n] = c[other[start[i] + t]]
             block = own[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
             np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
-            before = _inner(sums, c[i])
+            before = inner(sums, c[i])
             for a in range(n):
                 for b in range(n):
                     force[a, b] = kappa[k] * sums[a, b]
@@ -124,11 +124,12 @@ def sweep(
             for a in range(n):
                 for b in range(n):
                     c[i, a, b] = rows[a, n + b]
-            gains[k, i] = _inner(sums, c[i]) - before
+            gains[k, i] = inner(sums, c[i]) - before
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _inner(a: np.ndarray, b: np.ndarray) -> float:
+def inner(a: np.ndarray, b: np.ndarray) -> float:
+    """The sum of a_rs b_rs."""
     total = 0.0
     for r in range(a.shape[0]):
         for s in range(a.shape[1]):
