@@ -200,7 +200,7 @@ def _doubt_bases(probes: Sequence[tuple[SampledShape, SampledShape, PairMatch]],
         raise ValueError(f"{told}: they are in {made}; {todo}")
     if 2 * poor > len(probes):
         told = f"{poor} {tried} keep distances far worse than maps from the shapes alone"
-        warnings.warn(f"{told}: they are poor, or in {made}; {todo}", stacklevel=4)
+        warnings.warn(f"{told}: they are poor, or in {made}; {todo}", stacklevel=5)
 
 
 def best_of_pairs(edges: np.ndarray, matches: Sequence[PairMatch], trusted: np.ndarray) -> np.ndarray:

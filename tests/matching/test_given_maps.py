@@ -455,6 +455,7 @@ def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, bases, truth, t
     for name, array, said in (
         ("cat1_to_cat2.csv", np.arange(V - 1), "cat1_to_cat2.csv: a point map of 999 vertices"),
         ("cat1_to_cat0.csv", np.arange(V), "components cat0 + cat1, cat2"),
+        ("cat1_to_cat0.csv", np.eye(5), "smaller than --basis = 10; lower --basis"),
         ("cat7_to_cat0.csv", np.arange(V), "cat7_to_cat0.csv: its name is not A_to_B"),
     ):
         path = write(maps, name, array)
@@ -463,6 +464,8 @@ def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, bases, truth, t
         assert said in told
         assert not out.exists()
         path.unlink()
+    assert main(["sync", str(meshes), "--maps", str(maps), "-o", str(out), *QUICK, "--graph", "k1"]) == 2
+    assert "--graph: the maps say which pairs there are; leave it out" in capsys.readouterr().err
     (maps / "cat0_to_cat1.txt").unlink()
     turns = np.sign(np.random.default_rng(1).standard_normal((3, 30)))  # signs of another program
     for i, j in ((0, 1), (1, 2), (0, 2)):
