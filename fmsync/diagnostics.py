@@ -30,7 +30,11 @@ class Draws:
 
 
 class ConvergenceWarning(UserWarning):
-    """The chains disagree, or hold too few independent draws; the message says what to do."""
+    """The chains disagree, or hold too few independent draws; the message says ``what`` is wrong and what to do."""
+
+    def __init__(self, what: str, todo: str = ""):
+        super().__init__(f"{what}; {todo}" if todo else what)
+        self.what = what
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,17 +188,18 @@ def _watched(post: Draws) -> dict[str, np.ndarray]:
 
 
 def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> None:
-    complaints = []
+    complaints, todos = [], []
     if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
         worst = int(np.nanargmax(r_hat))
-        told = f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree"
-        complaints.append(f"{told}; lengthen warmup, or try method='tempered' if it stays")
+        complaints.append(f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree")
+        todos.append("lengthen warmup, or try method='tempered' if it stays")
     if (effective < _LEAST_ESS).any():
         worst = int(np.nanargmin(effective))
-        todo = "raise n_draws or thin" + ", or use heat-bath where the energy is Euclidean" * (method != "heat-bath")
-        complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS}): {todo}")
+        complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS})")
+        better = ", or use heat-bath where the energy is Euclidean" * (method != "heat-bath")
+        todos.append(f"raise n_draws (--draws) or thin{better}")
     if complaints:
-        warnings.warn("; ".join(complaints), ConvergenceWarning, stacklevel=5)
+        warnings.warn(ConvergenceWarning("; ".join(complaints), "; ".join(todos)), stacklevel=5)
 
 
 def _varies(values: np.ndarray) -> bool:

@@ -101,7 +101,11 @@ def run(options: argparse.Namespace) -> int:
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
             chosen = {name: getattr(options, name) for name in ("graph", "drop_outliers")}
             given = {"maps": maps, "landmarks": landmarks, **chosen, **counts, **stage}
-            synced = fmsync.matching.synchronize_shapes(shapes, **given)
+            try:
+                synced = fmsync.matching.synchronize_shapes(shapes, **given)
+            except ValueError as error:  # arguments are options here
+                told = re.sub(r"\bn_(basis|refined|samples|draws)\b", r"--\1", str(error))
+                raise ValueError(told) from error
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
@@ -147,6 +151,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--level: a probability strictly between 0 and 1, got {options.level}")
     if not re.fullmatch("complete|k[1-9][0-9]*", options.graph):
         raise ValueError(f"--graph: 'complete', or k and a number of neighbours such as 'k4', not {options.graph!r}")
+    if options.maps is not None and options.graph != "complete":
+        raise ValueError("--graph: the maps say which pairs there are; leave it out beside --maps")
     if options.landmarks is not None and not options.landmarks.is_file():
         raise ValueError(f"--landmarks: {options.landmarks}: there is no such file")
 

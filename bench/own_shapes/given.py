@@ -43,10 +43,11 @@ def starts(shapes: list[Shape], vertices: np.ndarray) -> dict[str, dict]:
     points = [_points(c, bases[i].eigenfunctions, bases[j].eigenfunctions) for (i, j), c in zip(pairs, refined)]
     spoiled = np.zeros(len(pairs), dtype=bool)
     spoiled[rng.choice(len(pairs), max(1, round(_WRONG * len(pairs))), replace=False)] = True
+    shuffled = [rng.permutation(p) for p in points]
     given = {
         "fit": (fits, None),
         "ZoomOut": (refined, None),
-        "ZoomOut, shuffled": ([rng.permutation(p) if s else p for s, p in zip(spoiled, points)], spoiled),
+        "ZoomOut, shuffled": ([q if s else p for s, p, q in zip(spoiled, points, shuffled)], spoiled),
         "soft, too hot": ([_soft(c, bases[i], bases[j]) for (i, j), c in zip(pairs, refined)], None),
     }
     if isinstance(shapes[0], Creature):

@@ -1,5 +1,6 @@
 """Pairwise maps of any matcher: three kinds of them, told apart and checked, and each as a matrix in our bases."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,7 @@ import networkx as nx
 import numpy as np
 import scipy.sparse as sp
 
-from fmsync.matching.pairwise import FINE, PairMatch, improve
+from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis, Shape
 
@@ -17,7 +18,8 @@ _ORTHONORMAL = 1e-2  # largest entry of ΦᵀAΦ - I
 _ROUGH = 1  # mean squared step of the first function along edges over its variance: 2 in a random order of vertices
 _SEEN = 0.1  # functions that the matched vertices see less of than this, of the best seen one, are left out of the fit
 _TURN = "rename the file, or exchange i and j"
-_REVERSED = 0.5  # a map whose distortion falls below this share of itself when it is read in reverse is reversed
+_REVERSED = 0.5  # a map whose distortion falls below this share of itself when it is read otherwise is misread
+_POOR, _PROBES = 0.1, 5  # median distortion from which so many functional maps are tried with other signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,37 @@ def given_matches(
             turned.append(g.name)
     if turned:
         raise ValueError(f"{', '.join(turned)}: keeps distances far better when read in the other direction; {_TURN}")
+    functional = [k for k, g in enumerate(given) if isinstance(g.matrix, np.ndarray)]
+    if functional and np.median([found[k].distortion for k in functional]) > _POOR:
+        probes = functional[:: -(-len(functional) // _PROBES)]
+        _doubt_bases([(light[given[k].i], light[given[k].j], found[k]) for k in probes], bases is None)
     return found
+
+
+def _doubt_bases(probes: Sequence[tuple[SampledShape, SampledShape, PairMatch]], ours: bool) -> None:
+    """Refuse functional maps that other signs of eigenfunctions make far better, and warn of poor ones.
+
+    The signs are those that agree with the pipeline's own map, which need not be right: what counts is distortion.
+    """
+    turned = poor = 0
+    for first, second, given in probes:
+        own = match(first, second)
+        n = min(len(given.c_ij), len(own.c_ij))
+        agreement = given.c_ij[:n, :n] * own.c_ij[:n, :n]
+        left = np.copysign(1, np.linalg.svd(agreement)[0][:, 0])
+        right = np.copysign(1, left @ agreement)
+        signed = left[:, None] * given.c_ij[:n, :n] * right
+        turned += improve(first, second, signed, n).distortion < _REVERSED * given.distortion
+        poor += own.distortion < _REVERSED * given.distortion
+    made = "other bases than fmsync's" if ours else "other bases than those in bases="
+    todo = "give point maps instead, or in Python the bases that they were computed in as bases="
+    tried = f"of {len(probes)} functional maps that were tried"
+    if 2 * turned > len(probes):
+        told = f"maps: {turned} {tried} keep distances far better with other signs of the eigenfunctions"
+        raise ValueError(f"{told}: they are in {made}; {todo}")
+    if 2 * poor > len(probes):
+        told = f"{poor} {tried} keep distances far worse than maps from the shapes alone"
+        warnings.warn(f"{told}: they are poor, or in {made}; {todo}", stacklevel=5)
 
 
 def best_of_pairs(edges: np.ndarray, matches: Sequence[PairMatch], trusted: np.ndarray) -> np.ndarray:

@@ -9,10 +9,13 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import so
+from fmsync.diagnostics import ConvergenceWarning
 from fmsync.estimators import Estimate, solve
 from fmsync.matching.pairwise import PairMatch
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior, sample
+
+MORE_DRAWS = "ask for more draws (n_draws, --draws)"
 
 
 def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
@@ -94,10 +97,42 @@ def inlier_weights(estimate: Estimate) -> np.ndarray:
 def posterior_draws(
     problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
 ) -> Posterior:
-    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise."""
+    """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise.
+
+    What is warned of is said with what a user of the pipeline can do: they do not choose the sampler.
+    """
     tree = problem.n_edges < problem.n_nodes
     each = -(-n_draws // 4)
     with tqdm(desc="posterior", total=each, disable=not progress) as bar:
         steps = {"n_chains": 4, "n_draws": each, "warmup": 300, "thin": 4}
         told: dict[str, Any] = {"kappa": 20.0 if tree else "auto", "callback": lambda *_: bar.update(), **steps}
-        return sample(problem, "heat-bath", init=estimate, rng=rng, **told)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ConvergenceWarning)
+            posterior = sample(problem, "heat-bath", init=estimate, rng=rng, **told)
+    for w in caught:
+        what = w.message
+        if isinstance(what, ConvergenceWarning):
+            what = ConvergenceWarning(
+                what.what, f"do not rely on the regions; {MORE_DRAWS}, doubt the maps if it stays"
+            )
+        warnings.warn(what, w.category, stacklevel=6)
+    return posterior
+
+
+def unchecked_maps(
+    problem: SyncProblem, estimate: Estimate, names: Sequence[str], edge_names: Sequence[str], given: bool
+) -> str:
+    """A sentence about maps that no cycle of trusted ones checks, with what to do; empty where there are none."""
+    graph, more = nx.empty_graph(problem.n_nodes), "give maps of more pairs" if given else "use a graph with more pairs"
+    trusted = np.flatnonzero(inlier_weights(estimate) > 0.5).tolist()
+    graph.add_edges_from(problem.edges[trusted].tolist())
+    parts = [" + ".join(names[k] for k in sorted(part)) for part in nx.connected_components(graph)]
+    if len(parts) > 1:
+        return f"No map that agrees with others connects {', '.join(parts)}: what joins them is a guess; {more}."
+    bridges = {frozenset(pair) for pair in nx.bridges(graph)}
+    lone = [edge_names[e] for e in trusted if frozenset(problem.edges[e].tolist()) in bridges]
+    if len(bridges) == problem.n_nodes - 1:
+        text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
+    else:
+        text = "No cycle of trusted maps checks these, and nothing shows whether they are wrong: "
+    return f"{text}{', '.join(lone)}; {more}." if lone else ""

@@ -4,6 +4,7 @@ import numpy as np
 
 from fmsync import diagnostics
 from fmsync.matching.confidence import has_continuous_symmetry
+from fmsync.matching.network import MORE_DRAWS, unchecked_maps
 from fmsync.matching.synchronize import SyncedShapes
 
 _RHAT, _ESS = 1.01, 400
@@ -23,13 +24,13 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
         apart = max((diagnostics.rhat(x) for x in varying), default=np.nan)
         effective = min((diagnostics.ess(x) for x in varying), default=np.nan)
         if not np.isfinite(apart):
-            said.append("There are too few posterior draws to tell whether the chains agree: ask for 1000 or more.")
+            said.append(f"There are too few posterior draws to tell whether the chains agree: {MORE_DRAWS}.")
         elif apart > _RHAT:
             text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
-            said.append(text + "do not rely on the regions; ask for more draws.")
+            said.append(text + f"do not rely on the regions; {MORE_DRAWS}.")
         if np.isfinite(effective) and effective < _ESS:
             text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
-            said.append(text + "the regions are rough; ask for more draws.")
+            said.append(text + f"the regions are rough; {MORE_DRAWS}.")
     if pairs := [synced.edge_names[e] for e in synced.violating]:
         said.append(f"{len(pairs)} pairs contradict the left and right of the others: doubt {', '.join(pairs)}.")
     if turned := [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]:
@@ -41,7 +42,7 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
     if any(s.orientation is None and s.n_landmarks < 2 for s in synced.shapes):
         text = "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. "
         said.append(text + "Give meshes or landmarks.")
-    if len(synced.used) < len(synced.shapes):
-        text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
-        said.append(text + "use a graph with more pairs.")
+    maps = synced.names, synced.edge_names, bool(synced.map_names)
+    if unchecked := unchecked_maps(synced.problem, synced.estimate, *maps):
+        said.append(unchecked)
     return said

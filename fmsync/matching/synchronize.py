@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import itertools
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,15 @@ from fmsync.functional_maps import vertex_images
 from fmsync.matching.confidence import Confidence, confidence
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
-from fmsync.matching.network import basis_signs, flipped, posterior_draws, robust_maps, trusted_edges, trusted_part
+from fmsync.matching.network import (
+    basis_signs,
+    flipped,
+    posterior_draws,
+    robust_maps,
+    trusted_edges,
+    trusted_part,
+    unchecked_maps,
+)
 from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
@@ -194,7 +203,8 @@ def synchronize_shapes(
       map (V_i, V_j), rows summing to at most one; any other matrix a functional map C_ij (n_i, n_j), from coefficients
       on j to those on i, n_i and n_j >= ``n_basis``, in the first functions of ``bases`` or, without these, of
       :func:`fmsync.laplace_beltrami` alone: other programs choose other signs. A map that does not fit, or fits far
-      better in reverse, is a ValueError.
+      better in reverse, and functional maps that mostly fit far better with other signs are a ValueError; poor ones,
+      and maps that no cycle of trusted ones checks, are named in a warning.
     * ``n_basis``, ``n_refined``: size n of the maps that are sampled, and m >= n of those that carry points.
     * ``n_samples``, ``n_draws``: samples of each shape, at least n, and posterior draws (0 for none).
     * ``graph``: ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j)
@@ -248,6 +258,8 @@ def synchronize_shapes(
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
     synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
+    if given and (said := unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, given=True)):
+        warnings.warn(said, stacklevel=3)
     return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 
 

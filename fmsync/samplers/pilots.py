@@ -73,7 +73,7 @@ def unvisited_mode(
     return (
         f"{found.sum()} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode, at a mean "
         f"energy of {last.mean(0)[found].min():.4g} where these chains have {at_home:.4g}: the draws say "
-        "nothing about it; use method='tempered', which weighs the modes"
+        "nothing about it"
     )
 
 
@@ -89,8 +89,7 @@ def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:
     if not apart:
         return ""
     return (
-        f"{len(apart)} of {len(maps)} chains stay in another mode than the first: the draws weigh modes by their "
-        "starts; use method='tempered', which weighs the modes"
+        f"{len(apart)} of {len(maps)} chains stay in another mode than the first: the draws weigh modes by their starts"
     )
 
 

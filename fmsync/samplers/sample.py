@@ -91,7 +91,8 @@ def sample(
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
-            warnings.warn(said, ConvergenceWarning, stacklevel=3)
+            todo = "use method='tempered', which weighs the modes"
+            warnings.warn(ConvergenceWarning(said, todo), stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings, weights)
     checks.unchecked(warn_unless_converged)(post)

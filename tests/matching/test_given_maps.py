@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +13,13 @@ import scipy.sparse as sp
 
 import data_gen
 import fmsync
+from fmsync import adapters
 from fmsync.cli import main
+from fmsync.diagnostics import ConvergenceWarning
+from fmsync.estimators import Estimate
 from fmsync.matching import output, synchronize
 from fmsync.matching.map_files import read_maps
+from fmsync.matching.network import unchecked_maps
 from fmsync.matching.quality import quality_flags
 from fmsync.shape import Basis, Shape
 from tests.matching.conftest import OPTIONS, QUICK, write_off
@@ -190,6 +196,73 @@ def test_maps_come_back_in_the_bases_that_were_handed_in(synced, bases):
     )
     flipped = [Basis(s.basis.eigenvalues, -s.basis.eigenfunctions, s.basis.mass) for s in synced.shapes]
     np.testing.assert_allclose(synced.functional_map(1, 3, flipped), synced.functional_map(1, 3), atol=1e-9)
+
+
+def test_functional_maps_in_other_bases_are_refused_where_other_signs_show_it(shapes, bases, truth):
+    mesh = pytest.importorskip("pyFM.mesh").TriMesh
+    theirs = [adapters.from_pyfm(mesh(s.vertices, s.faces).process(k=30))[1] for s in shapes]
+    maps = {(i, j): fmsync.functional_map(theirs[i], theirs[j], truth[i, j]) for i, j in PAIRS}
+    with pytest.raises(ValueError, match=r"^maps: \d of 5 .* other signs .*: they are in other bases than fmsync's;"):
+        synced_from(shapes, maps)
+    with pytest.raises(ValueError, match="in other bases than those in bases=; give point maps instead, or in Python"):
+        synced_from(shapes, maps, bases=bases)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        synced_from(shapes, maps, bases=theirs)
+
+
+def test_functional_maps_that_are_poor_are_said_to_be_poor_or_in_other_bases(shapes, bases, truth):
+    turned = in_other_bases(bases)
+    maps = {(i, j): fmsync.functional_map(turned[i], turned[j], truth[i, j]) for i, j in PAIRS}
+    with pytest.warns(UserWarning, match="5 of 5 functional maps .* far worse .*: they are poor, or in other bases"):
+        synced_from(shapes, maps)
+
+
+def test_noisy_functional_maps_in_our_bases_are_taken(shapes, bases, truth):
+    rng, maps = np.random.default_rng(7), {}
+    for i, j in PAIRS:
+        c = fmsync.functional_map(bases[i], bases[j], truth[i, j])
+        maps[i, j] = c + 0.2 * rng.standard_normal(c.shape)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        synced_from(shapes, maps)
+
+
+def test_maps_that_no_cycle_checks_are_named(shapes, rough):
+    tree = {pair: rough[pair] for pair in [(0, 1), (1, 2), (2, 3), (3, 4)]}
+    with pytest.warns(
+        UserWarning, match=r"no cycle.* guess: maps\[0, 1\] \(cat0 to cat1\), .*maps of more pairs"
+    ) as told:
+        synced = synced_from(shapes, tree)
+    assert str(told[0].message) in quality_flags(synced)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "wrong", "said"),
+    [
+        ("01 12 02 23 34 24", "", None),
+        ("01 12 02 23 34 34", "", "No cycle of trusted maps checks these.*: e3, e4, e5; give maps of more pairs"),
+        ("01 12 02 23 34 24 13", "24", "No cycle of trusted maps .*: e4; give"),
+        ("01 12 02 23 34 24", "23 24", r"No map that agrees with others connects a \+ b \+ c, d \+ e: "),
+        ("01 12 23 34 04", "04", "The graph has no cycle, .*: e0, e1, e2, e3; give"),
+        ("01 01 12 23 34", "", "The graph has no cycle"),
+    ],
+)
+def test_bridges_of_the_trusted_maps_are_named(pairs, wrong, said):
+    edges = np.array([[int(a), int(b)] for a, b in pairs.split()])
+    problem = fmsync.SyncProblem(5, edges, np.tile(np.eye(3), (len(edges), 1, 1)))
+    weights = np.array([0.1 if pair in wrong.split() else 0.9 for pair in pairs.split()])
+    estimate = Estimate.from_absolute(problem, np.tile(np.eye(3), (5, 1, 1)), "robust", edge_weights=weights)
+    told = unchecked_maps(problem, estimate, "abcde", [f"e{k}" for k in range(len(edges))], given=True)
+    assert re.search(said, told) if said else told == ""
+
+
+def test_advice_about_draws_names_what_the_pipeline_has(shapes, rough):
+    with pytest.warns(ConvergenceWarning, match=r"effective draws.*ask for more draws \(n_draws, --draws\)") as told:
+        synced_from(shapes, rough, n_draws=40)
+    said = " ".join(str(w.message) for w in told)
+    assert not {"warmup", "thin", "method"} & {*said.replace("=", " ").split()}
+    assert told[0].filename == synced_from.__code__.co_filename
 
 
 def smaller(shape):
@@ -373,7 +446,7 @@ def test_damaged_and_hostile_files_are_one_line(tmp_path):
         path.unlink()
 
 
-def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, tmp_path, capsys):
+def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, bases, truth, tmp_path, capsys):
     meshes, maps, out = tmp_path / "meshes", tmp_path / "maps", tmp_path / "out"
     meshes.mkdir()
     for shape in shapes[:3]:
@@ -382,6 +455,7 @@ def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, tmp_path, capsy
     for name, array, said in (
         ("cat1_to_cat2.csv", np.arange(V - 1), "cat1_to_cat2.csv: a point map of 999 vertices"),
         ("cat1_to_cat0.csv", np.arange(V), "components cat0 + cat1, cat2"),
+        ("cat1_to_cat0.csv", np.eye(5), "smaller than --basis = 10; lower --basis"),
         ("cat7_to_cat0.csv", np.arange(V), "cat7_to_cat0.csv: its name is not A_to_B"),
     ):
         path = write(maps, name, array)
@@ -390,6 +464,21 @@ def test_the_command_refuses_bad_maps_and_leaves_nothing(shapes, tmp_path, capsy
         assert said in told
         assert not out.exists()
         path.unlink()
+    assert main(["sync", str(meshes), "--maps", str(maps), "-o", str(out), *QUICK, "--graph", "k1"]) == 2
+    assert "--graph: the maps say which pairs there are; leave it out" in capsys.readouterr().err
+    (maps / "cat0_to_cat1.txt").unlink()
+    turns = np.sign(np.random.default_rng(1).standard_normal((3, 30)))  # signs of another program
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        write(
+            maps,
+            f"cat{i}_to_cat{j}.mat",
+            turns[i][:, None] * fmsync.functional_map(bases[i], bases[j], truth[i, j]) * turns[j],
+        )
+    assert main(["sync", str(meshes), "--maps", str(maps), "-o", str(out), *QUICK]) == 2
+    *_, told = capsys.readouterr().err.splitlines()
+    assert "other signs" in told
+    assert "give point maps instead" in told
+    assert not out.exists()
 
 
 def test_votes_and_flags_read_the_maps_that_are_used(synced):
