@@ -157,13 +157,15 @@ def render(md: Path) -> str:
 
 
 def _captioned(cells: list, page: str) -> tuple[list, dict[str, str]]:
-    """The cells with the caption of each figure after it, and what the figures are called, by their labels."""
+    """The cells with the caption of each figure or table after it, and what these are called, by their labels."""
     chapter = page[:2].lstrip("0") + "." if page[:2].isdigit() else ""
     found, called = [], {}
     for cell in cells:
         found.append(cell)
         if figure := cell.metadata.get("mystnb", {}).get("figure"):
-            called[figure["name"]] = f"Fig. {chapter}{len(called) + 1}"
+            kind = "Table" if figure["name"].startswith("tab-") else "Fig."
+            number = 1 + sum(name.startswith(kind) for name in called.values())
+            called[figure["name"]] = f"{kind} {chapter}{number}"
             caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
             found.append(nbformat.v4.new_markdown_cell(caption))
     return found, called

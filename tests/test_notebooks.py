@@ -4,6 +4,7 @@ import importlib.util
 import re
 from pathlib import Path
 
+import jupytext
 import nbformat
 import pytest
 
@@ -115,3 +116,12 @@ def test_prose_reads_well_without_myst(book):
     assert r"\renewcommand{\SO}[1]" in notebook.cells[0].source
     for leftover in (":::", ":label:", ":class:", "{prf:", "(ch-one)=", "$$ ("):
         assert leftover not in prose
+
+
+def test_tables_are_numbered_apart_from_figures():
+    text = "```{code-cell} ipython3\n---\nmystnb:\n  figure:\n    name: %s\n    caption: No. %s\n---\n1\n```\n"
+    cells = [text % (f"{kind}-x{k}", k) for k, kind in enumerate(("fig", "tab", "fig"))]
+    page = jupytext.reads("# One\n\n" + "\n".join(cells), "md:myst")
+    cells, called = sync._captioned(page.cells, "certificates")
+    assert called == {"fig-x0": "Fig. 1", "tab-x1": "Table 1", "fig-x2": "Fig. 2"}
+    assert [c.source for c in cells[2::2]] == ["*Fig. 1.* No. 0", "*Table 1.* No. 1", "*Fig. 2.* No. 2"]
