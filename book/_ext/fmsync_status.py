@@ -172,6 +172,10 @@ class Tables(SphinxTransform):
                 node["classes"].append("fm-table")
 
 
+def _open_table(writer, node):
+    writer.body.append(writer.starttag(node, "figure", tabindex=0))  # keys reach what scrolls
+
+
 class figure_list(nodes.General, nodes.Element):
     """Stands where the list will be, until all pages are read and numbered."""
 
@@ -214,7 +218,8 @@ def setup(app: Sphinx):
     app.add_directive("figures", Figures)
     app.add_node(figure_list)
     app.add_transform(Tables)
-    visit = (lambda writer, node: writer.visit_figure(node)), (lambda writer, node: writer.depart_figure(node))
-    app.add_enumerable_node(captioned_table, "table", html=visit)
+    app.add_enumerable_node(
+        captioned_table, "table", html=(_open_table, lambda writer, node: writer.depart_figure(node))
+    )
     app.connect("doctree-resolved", _fill)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
