@@ -51,6 +51,27 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     return table.sort_values(["label", "density", "sigma2"], ascending=[True, False, True], ignore_index=True)
 
 
+def beside(table: pd.DataFrame, *, interval: bool = False) -> pd.DataFrame:
+    """A table of :func:`table1` as text: rows label and density, columns σ², cells 'ours / paper', two reference lines.
+
+    ``interval`` puts its ends after our number. A star: the printed number lies in it; a prime: beyond the recovery
+    threshold; a bound in brackets does not hold.
+    """
+    cells = {}
+    for row in table.itertuples():
+        text = f"{row.mean:#.3g}" if row.mean < 100 else f"{row.mean:.0f}"
+        if interval:
+            text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
+        if pd.notna(row.paper):
+            text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
+        cells[row.label, row.density, f"{row.sigma2:g}"] = text + ("" if row.recoverable else "'")
+    for name, line in {"bound": bracketed(table), "expected": table.expected.map("{:.2f}".format)}.items():
+        for row in table.assign(line=line).drop_duplicates(["density", "sigma2"]).itertuples():
+            cells[f"{name} (rms)", row.density, f"{row.sigma2:g}"] = row.line
+    rows = pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells))
+    return pd.Series(cells).unstack(2).reindex(rows).rename_axis(columns="σ²")
+
+
 def protocol_variants(frame: pd.DataFrame) -> list[dict]:
     """The variants of the protocol for which there are results, as arguments of :func:`table1`."""
     rows = frame[frame.label.isin(["MLE (1)", "MLE (2)"])][["n_nodes", "two_way", "around"]]
@@ -153,20 +174,8 @@ def _is_paper(frame: pd.DataFrame) -> bool:
 
 
 def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
-    table = table1(frame, **variant)
-    table["noise"] = table.sigma2.map("{:g}".format)
-    cells = {}
-    for row in table.itertuples():
-        text = f"{row.mean:.2f} [{row.low:.2f}, {row.high:.2f}]"
-        if pd.notna(row.paper):
-            text += f" / {row.paper:.2f}{'*' if row.agrees else ''}"
-        text += "" if row.recoverable else "'"
-        cells[row.label, row.density, row.noise] = text
-    for name, line in {"bound": bracketed(table), "expected": table.expected.map("{:.2f}".format)}.items():
-        for row in table.assign(line=line).drop_duplicates(["density", "sigma2"]).itertuples():
-            cells[f"{name} (rms)", row.density, row.noise] = row.line
-    wide = pd.Series(cells).unstack(2).reindex(pd.MultiIndex.from_tuples(dict.fromkeys(key[:2] for key in cells)))
     legend = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
+    wide = beside(table1(frame, **variant), interval=True)
     return f"{variant_name(**variant)}\n{legend}threshold; (bound) = errors are too large for it\n{wide.to_string()}"
 
 

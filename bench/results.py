@@ -10,6 +10,8 @@ import pandas as pd
 from bench.metrics import METRICS
 from fmsync.files import replacing
 
+FOLDER = Path(__file__).parents[1] / "results"  # what is committed
+
 #: Parameters of problems that have a column of their own; the rest stays in ``problem``.
 _NUMBERS = ("n_nodes", "n", "density", "sigma2", "kappa", "outliers")
 PARAMETERS = (*_NUMBERS, "noise", "two_way", "around", "collection")
@@ -52,6 +54,13 @@ def write(frame: pd.DataFrame, path: str | Path) -> None:
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         frame.astype({name: "category" for name in repeated}).to_parquet(file, compression="zstd", index=False)
+
+
+def committed(name: str):
+    """What ``results`` holds under a name: rows of a suite, a table (CSV), or the findings of a study (JSON)."""
+    path = FOLDER / name
+    readers = {".parquet": read, ".csv": pd.read_csv, ".json": lambda p: json.loads(p.read_text(encoding="utf-8"))}
+    return readers[path.suffix](path)
 
 
 def read(path: str | Path) -> pd.DataFrame:

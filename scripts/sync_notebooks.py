@@ -8,6 +8,7 @@ and year). A first cell says how to install, and defines the macros of the formu
 import argparse
 import re
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -28,7 +29,9 @@ if "google.colab" in sys.modules:
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
-_NUMREF = re.compile(r"\{numref\}`([\w-]+)`")
+_NUMBERED = re.compile(r"\{(?:numref|prf:ref)\}`([\w-]+)`")
+_KINDS = {"fig": "Fig.", "tab": "Table", "thm": "Theorem", "def": "Definition", "rem": "Remark", "ex": "Exercise"}
+_LABELS = re.compile(rf"(?:name|label): (({'|'.join(_KINDS)})-[\w-]+)$", re.MULTILINE)
 _STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
 _FIRST = """*A chapter of the fmsync book. To run it in any folder, install the project once from its checkout:*
 `pip install -e "PATH/TO/fmsync[bench]"`
@@ -52,7 +55,7 @@ def readable(text: str) -> str:
     >>> readable("See {eq}`eq-geo` and {doc}`the next chapter <02_so_n>`.")
     'See (geo) and the next chapter.'
     >>> readable("{py:func}`~fmsync.so.log`, {math}`n`, {doc}`02_so_n`, {cite}`boumal2014cramer`")
-    '`so.log`, $n$, *The geometry of SO(n)*, Boumal et al. (2014)'
+    '`so.log`, $n$, *Rotations*, Boumal et al. (2014)'
     """
     out, open_fences, in_options = [], [], False
     for line in text.split("\n"):
@@ -74,6 +77,8 @@ def _heading(directive: str, title: str) -> list[str]:
     if directive == "stages":
         return [" → ".join(f"**{s}**" if s == title else s for s in _STAGES), ""]
     if directive == "admonition":
+        name, title = title, ""
+    if title.startswith(name + " "):  # an exercise with its number
         name, title = title, ""
     if directive == "math" or directive.endswith("-end") or not name:
         return []
@@ -141,7 +146,9 @@ def render(md: Path) -> str:
         notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
-    notebook.cells, figures = _captioned(notebook.cells, md.stem)
+    called = _called(md)
+    named = _elsewhere() | called
+    notebook.cells = _captioned(notebook.cells, called)
     for k, cell in enumerate(notebook.cells):
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
@@ -149,24 +156,39 @@ def render(md: Path) -> str:
             if "hide-input" in cell["metadata"].get("tags", ()):
                 cell["metadata"]["jupyter"] = {"source_hidden": True}
         else:
-            text = _NUMREF.sub(lambda found: figures.get(found[1], found[1]), cell["source"])
+            text = _NUMBERED.sub(lambda found: named[found[1]], cell["source"])
+            text = re.sub(r"(\{exercise\})\n:label: ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
+            text = re.sub(r"(\{solution-start\}) ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
             cell["source"] = readable(text)
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     nbformat.validate(notebook)
     return nbformat.writes(notebook) + "\n"
 
 
-def _captioned(cells: list, page: str) -> tuple[list, dict[str, str]]:
-    """The cells with the caption of each figure after it, and what the figures are called, by their labels."""
-    chapter = page[:2].lstrip("0") + "." if page[:2].isdigit() else ""
-    found, called = [], {}
+def _captioned(cells: list, called: dict[str, str]) -> list:
+    """The cells with the caption of each figure or table after it."""
+    found = []
     for cell in cells:
         found.append(cell)
         if figure := cell.metadata.get("mystnb", {}).get("figure"):
-            called[figure["name"]] = f"Fig. {chapter}{len(called) + 1}"
             caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
             found.append(nbformat.v4.new_markdown_cell(caption))
-    return found, called
+    return found
+
+
+def _called(md: Path) -> dict[str, str]:
+    """What figures, tables, theorems and exercises of a page are called, by their labels."""
+    chapter = md.stem[:2].lstrip("0") + "." if md.stem[:2].isdigit() else ""
+    count, called = Counter(), {}
+    for label, kind in _LABELS.findall(md.read_text(encoding="utf-8")):
+        count[kind] += 1
+        called[label] = f"{_KINDS[kind]} {chapter}{count[kind]}"
+    return called
+
+
+@cache
+def _elsewhere() -> dict[str, str]:
+    return {k: f"{v} of *{_titles()[md.stem]}*" for md in chapters().values() for k, v in _called(md).items()}
 
 
 def stale(book: Path = BOOK) -> list[str]:

@@ -115,3 +115,22 @@ def test_prose_reads_well_without_myst(book):
     assert r"\renewcommand{\SO}[1]" in notebook.cells[0].source
     for leftover in (":::", ":label:", ":class:", "{prf:", "(ch-one)=", "$$ ("):
         assert leftover not in prose
+
+
+def test_tables_and_exercises_are_numbered_and_other_chapters_named(tmp_path):
+    cell = "```{code-cell} ipython3\n---\nmystnb:\n  figure:\n    name: %s\n    caption: No. %s\n---\n1\n```\n"
+    cells = [cell % (f"{kind}-x{k}", k) for k, kind in enumerate(("fig", "tab", "fig"))]
+    asked = "```{exercise}\n:label: ex-one\nSee {numref}`tab-x1`, {numref}`fig-mle-bound`.\n```\n"
+    asked += "\n````{solution-start} ex-one\n````\n"
+    page = tmp_path / "one.md"
+    page.write_text("# One\n\n" + "\n".join(cells) + "\n" + asked, encoding="utf-8")
+    text = [c.source for c in nbformat.reads(sync.render(page), 4).cells]
+    assert [t for t in text if t.startswith("*Fig") or t.startswith("*Table")] == [
+        "*Fig. 1.* No. 0",
+        "*Table 1.* No. 1",
+        "*Fig. 2.* No. 2",
+    ]
+    assert "**Exercise 1.**" in text[-1]
+    assert "See Table 1, Fig. 3." in text[-1]
+    assert "of *Many maps, one answer" in text[-1]
+    assert "**Solution (Exercise 1).**" in text[-1]

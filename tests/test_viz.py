@@ -200,6 +200,20 @@ def test_bad_heatmaps_are_refused(matrices, titles, message):
         viz.heatmaps(matrices, titles, alt="Bad.")
 
 
+def test_axes_take_labels_and_a_picture_adds_the_one_missing_legend():
+    fig, ax = viz.subplots(figsize=(3, 2), xlabel="x", yscale="log", ylim=(1, 9))
+    assert (ax.get_xlabel(), ax.get_yscale(), ax.get_ylim()) == ("x", "log", (1, 9))
+    ax.plot([1, 2], [3, 4], label="a line")
+    viz.picture(fig, alt="A line.")
+    assert [text.get_text() for text in ax.get_legend().texts] == ["a line"]
+    fig, (left, right) = viz.subplots(1, 2)
+    for one in (left, right):
+        one.plot([1, 2], label="a line")
+    left.legend()
+    viz.picture(fig, alt="Two lines, one legend.")
+    assert right.get_legend() is None
+
+
 def test_picture_carries_its_words_and_closes_its_figure():
     fig, ax = plt.subplots()
     ax.plot([0, 1])

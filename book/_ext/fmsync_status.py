@@ -1,5 +1,6 @@
 """Directives of the reference pages: ``fm-status`` and ``fm-worlds``, from the cache and from results/worlds.json,
-``fm-licences`` of what the project depends on, and ``figures``, each with the first sentence of its caption.
+``fm-licences`` of what the project depends on, and ``figures``: figures and tables, each with the first sentence of its
+caption. What a cell prints under a label that begins with ``tab-`` is numbered as a table.
 """
 
 import json
@@ -17,6 +18,7 @@ from jupyter_cache import get_cache
 from myst_nb.core.read import read_myst_markdown_notebook
 from nbformat import NotebookNode
 from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
@@ -154,6 +156,26 @@ def version_and_licence(name: str) -> tuple[str, str]:
     return told["Version"], told.get("License-Expression") or ", ".join(classifiers) or text or "not stated"
 
 
+class captioned_table(nodes.figure):
+    """A table that a cell prints, with its caption."""
+
+
+class Tables(SphinxTransform):
+    """Makes tables of the figures that are labelled so, before anything is numbered."""
+
+    default_priority = 800
+
+    def apply(self, **kwargs):
+        for node in self.document.findall(nodes.figure):
+            if any(name.startswith("tab-") for name in node["names"]):
+                node.__class__ = captioned_table
+                node["classes"].append("fm-table")
+
+
+def _open_table(writer, node):
+    writer.body.append(writer.starttag(node, "figure", tabindex=0))  # keys reach what scrolls
+
+
 class figure_list(nodes.General, nodes.Element):
     """Stands where the list will be, until all pages are read and numbered."""
 
@@ -174,15 +196,16 @@ def _fill(app, doctree, docname):
     for place in doctree.findall(figure_list):
         rows = nodes.bullet_list()
         for page in _pages_below(app.env, app.config.root_doc):
-            numbers = app.env.toc_fignumbers.get(page, {}).get("figure", {})
+            numbers = app.env.toc_fignumbers.get(page, {})
             for figure in app.env.get_doctree(page).findall(nodes.figure):
-                label = next((i for i in figure["ids"] if i in numbers), None)
+                kind = "table" if isinstance(figure, captioned_table) else "figure"
+                label = next((i for i in figure["ids"] if i in numbers.get(kind, {})), None)
                 caption = next(iter(figure.findall(nodes.caption)), None)
                 if label and caption is not None:
-                    number = ".".join(map(str, numbers[label]))
+                    number = app.config.numfig_format[kind] % ".".join(map(str, numbers[kind][label]))
                     first = re.match(r".*?[.:](?=\s|$)|.*", caption.astext().replace("\n", " "))[0].rstrip(":")
                     row = nodes.paragraph("", "")
-                    row += make_refnode(app.builder, docname, page, label, nodes.Text(f"Fig. {number}"))
+                    row += make_refnode(app.builder, docname, page, label, nodes.Text(number))
                     row += nodes.Text(f" {first}")
                     rows += nodes.list_item("", row)
         place.replace_self(rows if len(rows) else [])
@@ -194,5 +217,9 @@ def setup(app: Sphinx):
     app.add_directive("fm-licences", Licences)
     app.add_directive("figures", Figures)
     app.add_node(figure_list)
+    app.add_transform(Tables)
+    app.add_enumerable_node(
+        captioned_table, "table", html=(_open_table, lambda writer, node: writer.depart_figure(node))
+    )
     app.connect("doctree-resolved", _fill)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

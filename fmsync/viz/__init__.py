@@ -9,7 +9,7 @@ require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 
 from fmsync.colours import colours_from_coordinates  # noqa: E402
 from fmsync.viz.explorer import Explorer, State, explorer, glow  # noqa: E402
-from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style  # noqa: E402
+from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style, subplots  # noqa: E402
 from fmsync.viz.players import Player, player, walk_on_sphere  # noqa: E402
 from fmsync.viz.scenes import Scene, facing, scene  # noqa: E402
 
@@ -29,5 +29,6 @@ __all__ = [
     "player",
     "scene",
     "style",
+    "subplots",
     "walk_on_sphere",
 ]

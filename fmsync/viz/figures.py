@@ -5,6 +5,7 @@ import html
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -57,6 +58,19 @@ def style() -> None:
     mpl.style.use(STYLE)
 
 
+def subplots(*args: Any, **options: Any) -> tuple[Figure, Any]:
+    """``matplotlib.pyplot.subplots`` in the look of :func:`style`; labels, limits and scales go to the axes.
+
+    >>> import fmsync
+    >>> fig, ax = fmsync.viz.subplots(figsize=(5.2, 3), xlabel="noise", yscale="log")
+    """
+    style()
+    of_axes = {
+        name: options.pop(name) for name in [*options] if name[1:] in ("label", "lim", "scale") or name == "title"
+    }
+    return plt.subplots(*args, subplot_kw=of_axes, **options)
+
+
 @dataclass(frozen=True, repr=False)
 class Shown:
     """What a page shows: a still for paper, PNG bytes, and one or two sentences for those who cannot see it."""
@@ -103,7 +117,8 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
 def picture(fig: Figure, alt: str) -> Picture:
     """Freeze a matplotlib figure as a ``Picture``, and close it; ``alt`` says in a sentence or two what it shows.
 
-    Type smaller than 10 points is raised to that: it could not be read on a phone.
+    Type smaller than 10 points is raised to that: it could not be read on a phone. Where there is no legend,
+    axes with labels get one.
 
     >>> import matplotlib.pyplot as plt
     >>> fig, ax = plt.subplots()
@@ -112,6 +127,10 @@ def picture(fig: Figure, alt: str) -> Picture:
     """
     if not alt.strip():
         raise ValueError("alt is empty: say in a sentence what the figure shows")
+    if not fig.legends and not any(ax.get_legend() for ax in fig.axes):
+        for ax in fig.axes:
+            if ax.get_legend_handles_labels()[1]:
+                ax.legend()
     return Picture(freeze(fig, 2), alt, round(fig.get_figwidth() * fig.dpi))
 
 

@@ -207,3 +207,8 @@ def test_figures_show_the_tables(paper, tmp_path):
     assert list(mle.containers[0].lines[0].get_ydata()) == pytest.approx([2.1, 5.1])
     (board,) = report.draw_figures(frame([1.0, 2.0]), tmp_path)
     assert board.name == "s_scoreboard.png"
+
+
+@pytest.mark.parametrize("name", ["robust.parquet", "calibration_coverage.csv", "speed.json"])
+def test_committed_results_are_read_by_their_names(name):
+    assert len(results.committed(name)) > 0
