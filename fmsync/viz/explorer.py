@@ -178,6 +178,8 @@ def carried(
            [0]]), array([[1]])]
     """
     there = np.asarray(maps, dtype=float)
+    if there.shape[1:] != (bases[0].n, bases[1].n):
+        raise ValueError(f"maps: expected (K, {bases[0].n}, {bases[1].n}), as large as the bases, got {there.shape}")
     ways = ((0, 1, there), (1, 0, np.swapaxes(there, 1, 2)))
     at = [checks.indices(f"vertices[{k}]", vertices[k], bases[k].n_vertices) for k in (0, 1)]
     images = [images_of(bases[i].eigenfunctions[at[i]], m, bases[j].eigenfunctions) for i, j, m in ways]
