@@ -18,7 +18,7 @@ from PIL import Image
 
 import data_gen
 import fmsync
-from fmsync import diagnostics, so, viz
+from fmsync import diagnostics, viz
 from fmsync.matching.samples import farthest_points
 
 IMAGES = Path(__file__).resolve().parents[1] / "book" / "images"
@@ -87,12 +87,9 @@ def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> v
             "synchronised": fmsync.solve(problem).relative(np.array([pair])),
             "posterior": posterior.relative([pair]).reshape(-1, truth.n, truth.n),
         }
+        bases = [truth.bases[k] for k in pair]
         for view, c in maps.items():
-            there, back = (
-                np.stack([fmsync.point_map(m, truth.bases[i], truth.bases[j], chosen) for m in stack], axis=1)
-                for stack, (i, j) in ((c, pair), (so.transpose(c), pair[::-1]))
-            )
-            states[view].append(viz.State(view, (there, back), noise=sigma2))
+            states[view].append(viz.carried(view, c, bases, (chosen, chosen), noise=sigma2))
     return viz.explorer(
         [shapes[k] for k in pair],
         (chosen, chosen),

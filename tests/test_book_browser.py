@@ -44,9 +44,10 @@ PAGES = sorted(
     p.relative_to(HTML).as_posix() for p in HTML.rglob("*.html") if "_static" not in p.parts and p.name != "index.html"
 )
 _HOLDS = {
-    mark: [p for p in PAGES if mark in (HTML / p).read_text(encoding="utf-8")] for mark in ("fm-scene", "fm-moving")
+    mark: [p for p in PAGES if mark in (HTML / p).read_text(encoding="utf-8")]
+    for mark in ("fm-scene", "fm-moving", '<div class="fm-explorer"')
 }
-SCENES, PLAYERS = _HOLDS["fm-scene"], _HOLDS["fm-moving"]
+SCENES, PLAYERS, EXPLORERS = _HOLDS.values()
 
 pytestmark = pytest.mark.browser
 
@@ -382,6 +383,28 @@ def test_players_run_and_rest_and_obey_keys(opened):
     assert not frame.is_visible()
 
 
+@pytest.mark.parametrize("name", PLAYERS)
+def test_every_player_has_frames_and_a_still_of_the_last(opened, name):
+    opened.page.emulate_media(reduced_motion="reduce")
+    opened.page.route("**/mathjax/*", lambda route: route.fulfill(body=""))
+    page = opened(name, WIDE, "light")
+    figures = page.locator(".fm-moving")
+    for k in range(figures.count()):
+        frame, slider = figures.nth(k).locator(".fm-frame"), figures.nth(k).get_by_label("frame")
+        frame.scroll_into_view_if_needed()
+        end = _settled(page, frame)
+        still = figures.nth(k).locator(".fm-still").get_attribute("src")
+        assert np.abs(_coarse(end) - _coarse(_resized(still, end))).mean() < 6
+        slider.focus()
+        page.keyboard.press("Home")
+        assert np.abs(_settled(page, frame) - end).mean() > 0.5
+        caption = figures.nth(k).locator("xpath=ancestor::figure/figcaption")
+        assert caption.count() == 0 or caption.first.inner_text().strip()
+    page.emulate_media(media="print")
+    for k in range(figures.count()):
+        assert figures.nth(k).locator(".fm-still").is_visible()
+
+
 # in the page, because on a busy machine the frames may be over before a second click arrives
 _PLAY_AND_PAUSE = """(figure) => new Promise((done) => {
   const [button, slider] = ["button", "input"].map((q) => figure.querySelector(q));
@@ -397,6 +420,12 @@ _PLAY_AND_PAUSE = """(figure) => new Promise((done) => {
 _PLAYED = """new MutationObserver(() => {
   if (document.querySelector(".fm-moving button")?.textContent === "Pause") window.played = true;
 }).observe(document, { childList: true, subtree: true, characterData: true });"""
+
+
+def _coarse(image: np.ndarray) -> np.ndarray:
+    """Means of blocks of 4 x 4 pixels, in which thin lines do not depend on where they fall."""
+    height, width = (4 * (n // 4) for n in image.shape[:2])
+    return image[:height, :width].reshape(height // 4, 4, width // 4, 4, 3).mean(axis=(1, 3))
 
 
 def _resized(source: str, like: np.ndarray) -> np.ndarray:
@@ -448,6 +477,30 @@ def test_scenes_draw_and_turn_when_dragged(opened, name):
                 return
             page.wait_for_timeout(100)
     pytest.fail("the scene did not turn")
+
+
+def test_shapes_stand_one_above_the_other_on_a_phone(opened):
+    """Once the scene is drawn, and without a viewer, where the still is cut into its panels."""
+    if not can_render():
+        _absent("no OpenGL here, so the book has still pictures: apt-get install libegl1 libgl1")
+    opened.page.route("**/mathjax/*", lambda route: route.fulfill(body=""))
+    for alive in (True, False):
+        page = opened("chapters/05_oracle.html", PHONE, "light", alive=alive)
+        stage = page.locator(".fm-stage").first
+        stage.scroll_into_view_if_needed()
+        if alive:
+            stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
+        boxes = [box.bounding_box() for box in stage.locator(".fm-titles span").all()]
+        assert len(boxes) == 2
+        assert boxes[0]["x"] == boxes[1]["x"]
+        assert boxes[1]["y"] > boxes[0]["y"] + 150
+        upper, lower = np.array_split(_settled(page, stage), 2)
+        for panel in (upper, lower):
+            ink = (panel[30:-5] < 240).any(axis=2)  # below the title
+            assert 0.05 < ink.mean() < 0.6
+            assert ink[:, ink.shape[1] // 2 :].any()
+        colours = [np.ptp(panel, axis=2).mean() for panel in (upper, lower)]
+        assert colours[0] > 1.5 * colours[1]  # images all over the body above, a single spot below
 
 
 def drag(page, element) -> None:
@@ -549,7 +602,9 @@ def test_explorer_answers_clicks_keys_sliders_and_switch(opened, explored, size,
     canvases.nth(0).click(position=place(0.65, 0.35))
     clicked = _ready(page)
     assert clicked["vertex"] != first["vertex"]
-    assert words.inner_text() == f"Vertex {clicked['vertex']} of ball, observed: one image on other."
+    assert (
+        words.inner_text() == f"Vertex {clicked['vertex']} of ball, observed: one image on other, below .01 √area off."
+    )
     assert len(_lit(page, 0)) == 0
     lit = _lit(page, 1)
     assert len(lit) > 20
@@ -593,6 +648,37 @@ def test_explorer_answers_clicks_keys_sliders_and_switch(opened, explored, size,
     assert _ready(page)["from"] == "1"
     assert len(_lit(page, 0)) > 20
     assert len(_lit(page, 1)) == 0
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+@pytest.mark.parametrize(("size", "theme"), [(WIDE, "light"), (PHONE, "dark")], ids=["wide", "phone"])
+def test_explorers_of_the_book_answer(opened, name, size, theme):
+    opened.page.route("**/mathjax/*", lambda route: route.fulfill(body=""))
+    page = opened(name, size, theme)
+    page.locator(".fm-explorer").scroll_into_view_if_needed()
+    first = _ready(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    canvases = page.locator(".fm-explorer canvas")
+    assert len(_lit(page, 1)) > 5
+    canvases.nth(0).focus()
+    page.keyboard.press("ArrowUp")
+    moved = _ready(page)
+    assert moved["vertex"] != first["vertex"]
+    assert moved["vertex"] in page.get_by_role("status").inner_text()
+    box = canvases.nth(0).bounding_box()
+    canvases.nth(0).click(position={"x": 0.5 * box["width"], "y": 0.48 * box["height"]})  # the body
+    assert _ready(page)["vertex"] not in (moved["vertex"], first["vertex"])
+    assert len(_lit(page, 1)) > 5
+    for view in page.get_by_role("radio").all():
+        view.check(force=True)  # under its label
+        assert _ready(page)["view"] == view.get_attribute("value")
+        for key in ("noise", "temperature"):
+            slider = page.get_by_role("slider", name=key)
+            if slider.count() and slider.is_enabled():
+                ends = [(slider.fill(at), _ready(page)[key])[1] for at in (slider.get_attribute("max"), "0")]
+                assert ends[0] != ends[1]
+    page.emulate_media(media="print")
+    assert page.locator(".fm-explorer > img").is_visible()
 
 
 def test_explorer_answers_a_finger_and_turns_when_dragged(opened, explored):

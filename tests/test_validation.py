@@ -48,6 +48,7 @@ KERNELS = {
     "fmsync.matching.output.load_synced": "reads what fmsync sync wrote: tests/matching/test_transfer.py",
     "fmsync.matching.synchronize.synchronize_matches": "stages of synchronize_shapes, which checks for it",
     "fmsync.viz.explorer.State": "a record that explorer checks: tests/test_viz.py",
+    "fmsync.viz.explorer.carried": "makes a State, as above: tests/test_viz.py",
     "fmsync.viz.explorer.explorer": "draws what explore computed: tests/test_viz.py",
 }
 

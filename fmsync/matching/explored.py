@@ -7,13 +7,11 @@ import numpy as np
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.synchronize import SyncedShapes
-from fmsync.threads import single_threaded_blas
-from fmsync.viz.explorer import Explorer, State, explorer
+from fmsync.viz.explorer import Explorer, State, explorer, images_of
 
 # vertices to choose from on each shape, and draws that carry them: a dozen posteriors are less than a megabyte even if
 # no two images agree
 _CHOICE, _DRAWS = 160, 100
-_TARGETS = 5000  # vertices that images are sought among: as many as are drawn
 
 
 def explore(
@@ -66,11 +64,5 @@ def explore(
 
 def _images(synced: SyncedShapes, i: int, j: int, maps: np.ndarray) -> np.ndarray:
     """Vertices (S, T) of shape j where maps C_ij (T, n, n) send the vertices to choose from on shape i."""
-    n, count = maps.shape[-1], synced.shapes[j].shape.n_vertices
-    among = np.linspace(0, count - 1, min(count, _TARGETS)).astype(int)
-    with single_threaded_blas():
-        found = nearest_rows(
-            (synced.shapes[i].sampled(_CHOICE)[:, :n] @ maps).reshape(-1, n),
-            synced.shapes[j].basis.eigenfunctions[among, :n],
-        )
-    return among[found].reshape(len(maps), -1).T
+    n = maps.shape[-1]
+    return images_of(synced.shapes[i].sampled(_CHOICE)[:, :n], maps, synced.shapes[j].basis.eigenfunctions[:, :n])

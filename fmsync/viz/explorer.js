@@ -250,7 +250,9 @@
       const name = data.vertices[from][row], names = data.shapes.map((s) => s.name);
       const level = Math.round(100 * data.level), places = new Set(images).size;
       const what = state.images === 1 ? "one image" : `${state.images} images at ${places} different vertices`;
+      const right = data.truth && data.shapes[from].right[row], off = images.reduce((d, v) => d + apart(target.points, v, right), 0);
       $("p").textContent = `Vertex ${name} of ${names[from]}, ${view}: ${what} on ${names[to]}` +
+        (data.truth ? `, ${short(off / images.length / data.unit)} √area off${state.images === 1 ? "" : " on average"}` : "") +
         (state.region ? `, radius of the ${level} % region ${short(way.radius[row] / data.unit)} √area.` : ".");
       Object.assign(figure.dataset, { fm: "ready", from, vertex: name, places, view: state.view, noise: state.noise,
         temperature: state.temperature, image: images[0] });
@@ -269,7 +271,7 @@
         slider.setAttribute("aria-valuetext", value);
         slider.value = list.indexOf(value);
       });
-      face(to, images);
+      face(to);
       draw();
     }
 
@@ -291,24 +293,30 @@
       }
     }
 
-    function face(k, images) { // turn the other shape about its upright axis if the light is at the back
-      camera.aside[k] = 0;
+    function face(k) { // turn the other shape about its upright axis where light would not be seen, as little as will do
+      const lit = Array.from(data.shapes[k].around.keys()).filter((v) => values[k][3 * v] > 100);
+      const few = Math.ceil(lit.length / 10), some = lit.filter((_, n) => n % few === 0);
+      let best = [-2, 0];
+      fit();
+      for (let n = 0; n < 16 && 1 - 0.14 * Math.ceil(n / 2) > best[0]; n++) { // a radian is worth a third of the light
+        camera.aside[k] = 0.4 * Math.ceil(n / 2) * (n % 2 ? 1 : -1);
+        seen[k] = null;
+        const eye = axesOf(k)[2], seeing = (v) => dot(at(data.shapes[k].normals, v), eye) > 0.15 && visible(k, v);
+        const share = some.filter(seeing).length / some.length || -1, worth = share - 0.14 * Math.ceil(n / 2);
+        if (worth > best[0]) best = [worth, camera.aside[k]];
+      }
+      camera.aside[k] = best[1];
       seen[k] = null;
-      const s = data.shapes[k], sum = [0, 0, 0], eye = axesOf(k)[2];
-      let front = 0;
-      for (const v of images) {
-        const normal = at(s.normals, v);
-        front += dot(normal, eye) > 0.15 && visible(k, v);
-        sum.forEach((_, x) => (sum[x] += normal[x]));
-      }
-      if (front < images.length / 3 && Math.hypot(sum[0], sum[1]) > 0.1 * images.length) {
-        camera.aside[k] = Math.atan2(sum[1], sum[0]) - camera.turn;
-      }
     }
 
-    function fit() { // far enough that no turn about the upright axis leaves the frame
+    function fit() { // device pixels, and far enough that no turn about the upright axis leaves the frame
+      const ratio = Math.min(2, devicePixelRatio || 1);
+      canvases.forEach((canvas) => {
+        const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+        if (width && (canvas.width !== width || canvas.height !== height)) Object.assign(canvas, { width, height });
+      });
       const aspect = canvases[0].width / canvases[0].height, up = Math.cos(camera.tilt), lift = Math.sin(camera.tilt);
-      if (fitted === `${aspect} ${camera.tilt}`) return;
+      if (fitted === `${aspect} ${camera.tilt}`) return ratio;
       fitted = `${aspect} ${camera.tilt}`;
       distance = 0;
       for (let turn = 0; turn < 2 * Math.PI; turn += 0.2) {
@@ -321,15 +329,11 @@
           }
         }
       }
+      return ratio;
     }
 
     function draw() {
-      const ratio = Math.min(2, devicePixelRatio || 1);
-      canvases.forEach((canvas) => {
-        const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
-        if (width && (canvas.width !== width || canvas.height !== height)) Object.assign(canvas, { width, height });
-      });
-      fit();
+      const ratio = fit();
       canvases.forEach((canvas, k) => {
         const s = data.shapes[k], axes = axesOf(k), g = canvas.getContext("2d"), { from, row } = chosen;
         seen[k] = project(s, axes, distance, canvas);

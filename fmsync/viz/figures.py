@@ -134,13 +134,18 @@ def picture(fig: Figure, alt: str) -> Picture:
     return Picture(freeze(fig, 2), alt, round(fig.get_figwidth() * fig.dpi))
 
 
-def freeze(fig: Figure, scale: float) -> bytes:
-    """PNG of a figure with ``scale`` device pixels for each CSS pixel, no type too small; the figure is closed."""
-    fig.draw_without_rendering()  # the numbers at the axes exist only now
-    small = [text for text in fig.findobj(mpl.text.Text) if float(text.get_fontsize()) < _LEAST_TYPE]
-    for text in small:
-        text.set_fontsize(_LEAST_TYPE)
-    if not small:
+def freeze(fig: Figure, scale: float, *, laid_out: bool = False) -> bytes:
+    """PNG of a figure with ``scale`` device pixels for each CSS pixel, no type too small; the figure is closed.
+
+    One that was frozen before, and has changed since, is ``laid_out``: everything stays in its place.
+    """
+    if not laid_out:
+        fig.draw_without_rendering()  # the numbers at the axes exist only now
+        small = [text for text in fig.findobj(mpl.text.Text) if float(text.get_fontsize()) < _LEAST_TYPE]
+        for text in small:
+            text.set_fontsize(_LEAST_TYPE)
+        if small:
+            fig.draw_without_rendering()
         fig.set_layout_engine("none")  # laid out above, which takes as long as drawing
     buffer = io.BytesIO()
     fig.savefig(buffer, format="png", dpi=scale * fig.dpi)

@@ -19,7 +19,7 @@ from fmsync import checks
 from fmsync.checks import checked
 from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
-_SCALE = 1.5  # device pixels for each CSS pixel: sharp enough on a phone, and half the bytes of two
+_SCALE = 1.5  # device pixels for each CSS pixel of a frame: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
 _COLOURS = 64  # of the frames
 # it starts by itself once it is seen, where less motion is not wished for, and rests on the last frame
@@ -93,9 +93,9 @@ class Player(Picture):
 def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Player:
     """Join matplotlib figures of one size into a ``Player``, and close them.
 
-    At least two ``figures``, e.g. a generator that draws them one by one; ``alt`` says in one or two sentences what is
-    shown and how it moves; ``seconds`` is the time of one frame. The last one is also the still. A ValueError for
-    figures of unequal size, or more than 300 kB.
+    At least two ``figures``, e.g. a generator that draws them one by one, or one anew; ``alt`` says in one or two
+    sentences what is shown and how it moves; ``seconds`` is the time of one frame. The last one is also the still. A
+    ValueError for figures of unequal size, or more than 300 kB.
 
     >>> def frames():
     ...     for k in range(3):
@@ -107,10 +107,11 @@ def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Pla
     """
     if not alt.strip():
         raise ValueError("alt is empty: say in a sentence what the player shows")
-    stills, width = [], 0
+    stills, width, last = [], 0, None
     for figure in figures:
         width = round(figure.get_figwidth() * figure.dpi)
-        stills.append(freeze(figure, _SCALE))
+        stills.append(freeze(figure, _SCALE, laid_out=figure is last))
+        last = figure
     images = [Image.open(io.BytesIO(still)).convert("RGB") for still in stills]
     if len(images) < 2 or len({image.size for image in images}) > 1:
         raise ValueError(f"{len(images)} figures of sizes {[i.size for i in images]}: give at least two of one size")
@@ -123,7 +124,7 @@ def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Pla
     sheet.quantize(_COLOURS, dither=Image.Dither.NONE).convert("RGB").save(buffer, "WEBP", lossless=True, method=2)
     if buffer.tell() > _MOST_BYTES:
         raise ValueError(f"the player has {buffer.tell()} bytes: draw fewer or smaller frames, {_MOST_BYTES} at most")
-    return Player(stills[-1], alt, width, buffer.getvalue(), len(images), columns, seconds)
+    return Player(freeze(figure, 2, laid_out=True), alt, width, buffer.getvalue(), len(images), columns, seconds)
 
 
 @checked(points="T 3")

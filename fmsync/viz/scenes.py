@@ -28,7 +28,7 @@ from fmsync.shape import Shape
 from fmsync.viz.figures import PALETTE, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
-_PIXELS = 1200  # width of the still
+_PIXELS = 1280  # width of the still: twice that of the text of a page
 _VIEW = np.array([0.74, -0.61, 0.28]) / np.linalg.norm([0.74, -0.61, 0.28])  # from the scene to the eye, z up
 AXES = np.stack([np.cross([0, 0, 1], _VIEW), np.zeros(3), _VIEW], axis=1)  # columns: right, up, towards the eye
 AXES[:, 0] /= np.linalg.norm(AXES[:, 0])
@@ -91,6 +91,7 @@ class Scene(Shown):
         note = "" if self.data is not None else f'<figcaption class="fm-note">{_NO_GL}</figcaption>'
         return (
             f'<figure class="fm-scene" style="margin:0"><div class="fm-stage" '
+            f'data-rows="{self.rows}" data-columns="{self.columns}" '
             f'style="position:relative;background:white;color:black;aspect-ratio:{width}/{height}">{still}{moving}'
             f'<div class="fm-titles" style="position:absolute;inset:0;pointer-events:none;text-align:center;{grid}">'
             f"{titles}</div></div>{self.colour_bar}{note}</figure>"
