@@ -149,7 +149,7 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Player:
 def _sphere(points: np.ndarray, total: int) -> Figure:
     x, y, depth = _seen(points)
     with mpl.style.context(STYLE):
-        fig, ax = plt.subplots(figsize=(3.6, 3.8))
+        fig, ax = plt.subplots(figsize=(3.4, 3.6))
     ax.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), aspect="equal", title=f"step {len(points)} of {total}")
     ax.set_axis_off()
     ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
