@@ -248,7 +248,8 @@ def load_problem(path: str | Path) -> SyncProblem:
             n_nodes, edges, maps, weights, record = (file[name] for name in _FIELDS)
         return SyncProblem(int(n_nodes), edges, maps, weights, json.loads(record.tobytes()))
     except Exception as error:  # damaged archives raise errors of six kinds
-        raise ValueError(f"{path}: not a complete problem file ({error}); write it again with save_problem") from error
+        why = error if data.startswith(b"PK") else "no .npz archive"
+        raise ValueError(f"{path}: not a complete problem file ({why}); write it again with save_problem") from error
 
 
 relative_maps_unchecked, fix_gauge_unchecked = checks.unchecked(relative_maps), checks.unchecked(fix_gauge)  # for loops
