@@ -76,8 +76,6 @@ class Inliers:
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self._problem = p = target.problem
         checks.rotations("maps (node = edge)", p.maps)
-        if (p.weights != 1).any():
-            raise ValueError("weights: likelihood='mixture' needs weights 1; repeat an edge instead")
         self._field = target.field
         self._concentration = Concentration(target, n_chains, rng)
         self.kappa, self.inferred = self._concentration.value, self._concentration.inferred

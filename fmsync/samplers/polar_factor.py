@@ -40,8 +40,6 @@ class PolarFactors:
         n, n_edges = self._problem.n, self._problem.n_edges
         if target.kappa is not None:
             raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
-        if (self._problem.weights != 1).any():
-            raise ValueError("weights: likelihood='projected-gaussian' needs weights 1; repeat an edge instead")
         sigma2 = np.clip(1 / target.matched_kappa("sigma2", rng), LEAST_SIGMA2, 1.0)
         self.sigma2 = np.full(n_chains, sigma2)
         noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
