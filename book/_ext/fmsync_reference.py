@@ -20,6 +20,17 @@ from sphinx.util.nodes import make_refnode
 _LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyvista", "pyfmaps", "jupyter-book")
 
 
+def table_of(lines: Callable[[str], list[str]], file: str) -> type[SphinxDirective]:
+    """A directive that stands for lines of Markdown, made from the text of a file of the project."""
+
+    class Table(SphinxDirective):
+        def run(self) -> list[nodes.Node]:
+            self.env.note_dependency(str(ROOT / file))
+            return self.parse_text_to_nodes("\n".join(lines((ROOT / file).read_text(encoding="utf-8"))))
+
+    return Table
+
+
 def worlds_table(told: dict) -> list[str]:
     """Chapters by worlds, whether every claim held or which one failed, from the table of ``scripts/worlds.py``.
 
@@ -97,17 +108,6 @@ def version_and_licence(name: str) -> tuple[str, str]:
     classifiers = [c.rpartition(" :: ")[2] for c in told.get_all("Classifier") or [] if c.startswith("License ::")]
     text = (told.get("License") or "").strip().partition("\n")[0]
     return told["Version"], told.get("License-Expression") or ", ".join(classifiers) or text or "not stated"
-
-
-def table_of(lines: Callable[[str], list[str]], file: str) -> type[SphinxDirective]:
-    """A directive that stands for lines of Markdown, made from the text of a file of the project."""
-
-    class Table(SphinxDirective):
-        def run(self) -> list[nodes.Node]:
-            self.env.note_dependency(str(ROOT / file))
-            return self.parse_text_to_nodes("\n".join(lines((ROOT / file).read_text(encoding="utf-8"))))
-
-    return Table
 
 
 class figure_list(nodes.General, nodes.Element):

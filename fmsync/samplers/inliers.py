@@ -106,7 +106,7 @@ class Inliers:
             counts = self._inlier.sum(axis=1)
             self._concentration.update((self._inlier * traces).sum(axis=1), states, powers, counts)
         for k in range(len(x)):
-            node_blocks(p.maps, self._inlier[k], start, edge, forward, self.blocks[k])
+            node_blocks(p.maps, self._inlier[k], p.incidence, self.blocks[k])
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""
