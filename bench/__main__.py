@@ -6,11 +6,11 @@ import os
 import sys
 import time
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 from tqdm import tqdm
 
+from fmsync.cli import add_commands
 from fmsync.extras import MissingExtra, require_all
 
 _RESULTS = Path("results")
@@ -22,7 +22,11 @@ NEEDED = (  # by some command or suite: what is missing is reported before a run
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; bad input, an extra that is missing or a full disk ends with one line and status 2."""
-    parsed = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(prog="python -m bench", description="Run and compare benchmark suites.")
+    runs = {"run": _run, "collect": _collect, "report": _report, "compare": _compare, "verify": _verify, "list": _list}
+    cache = Path(os.environ.get("FMSYNC_BENCH_CACHE", ".bench"))
+    add_commands(parser, Path(__file__).with_name("help.toml"), runs, jobs=os.cpu_count(), cache=cache)
+    parsed = parser.parse_args(arguments)
     try:
         require_all("bench", "bench", *NEEDED)
         return parsed.run(parsed)
@@ -32,53 +36,6 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped; the finished runs are kept, run again to go on", file=sys.stderr)
         return 130
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m bench", description="Run and compare benchmark suites.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    def command(run: Callable[..., int], text: str, *examples: str) -> argparse.ArgumentParser:
-        name, layout = run.__name__.strip("_"), argparse.RawDescriptionHelpFormatter
-        told = "\n".join(["example:", *(f"  python -m bench {name}{example}" for example in examples)])
-        made = commands.add_parser(name, help=text, description=text, epilog=told, formatter_class=layout)
-        made.set_defaults(run=run)
-        return made
-
-    text = "execute the runs of a suite that are not finished yet, and write its table of results"
-    run = command(_run, text, " smoke", " paper --seeds 3 --jobs 2", " smoke --with my_method.py")
-    collect = command(_collect, "write the table of the runs that are finished so far, without executing any", " paper")
-    report = command(_report, "print the tables of a suite and draw its figures", "", " scale")
-    text = "what got better or worse between two tables of results; exit status 1 when something got worse"
-    compare = command(_compare, text, " old/smoke.parquet results/smoke.parquet")
-    text = "repeat random runs of the tables of results and compare; exit status 1 when one differs"
-    verify = command(_verify, text, "", " paper robust --runs 20 --seed 1")
-    command(_list, "suites and methods", "")
-
-    for one in (run, collect):
-        one.add_argument("suite", help="name of a suite, or a .toml file")
-        cache = Path(os.environ.get("FMSYNC_BENCH_CACHE", ".bench"))
-        one.add_argument("--cache", type=Path, default=cache, help="folder of finished runs (default: %(default)s)")
-    for one in (collect, report, verify):
-        one.add_argument("--results", type=Path, default=_RESULTS, help="folder of the tables (default: %(default)s)")
-    run.add_argument("--results", type=Path, help=f"folder of the tables (default: {_RESULTS})")
-    run.add_argument("--seeds", type=int, help="at most so many seeds, to begin with")
-    run.add_argument("--only", metavar="REGEX", help="only runs whose description matches; writes no results")
-    run.add_argument("--with", dest="files", action="append", default=[], metavar="FILE", help="that adds a method")
-    run.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at a time (default: cores)")
-    run.add_argument("--backend", choices=("local", "dask"), default="local", help="this machine, or a Dask cluster")
-    run.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask cluster, such as tcp://127.0.0.1:8786")
-    report.add_argument("suite", nargs="?", default="paper", help="default: %(default)s")
-    report.add_argument("--figures", type=Path, help="also draw the figures into this folder")
-    for when in ("before", "after"):
-        compare.add_argument(when, type=Path)
-    compare.add_argument("--tolerance", type=float, default=0.01, help="relative change to report (default: 0.01)")
-    verify.add_argument("suites", nargs="*", metavar="SUITE", help="default: all that have a table of results")
-    verify.add_argument("--runs", type=int, default=10, help="how many, of all tables (default: %(default)s)")
-    verify.add_argument("--seed", type=int, default=0, help="chooses the runs (default: %(default)s)")
-    text = "repetitions of a run that is outside of the tolerance, to see how much it varies (default: %(default)s)"
-    verify.add_argument("--replicas", type=int, default=16, help=text)
-    return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:

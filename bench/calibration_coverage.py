@@ -7,7 +7,6 @@ posterior holds the truth and is left unchanged; in :mod:`bench.prior_coverage` 
 """
 
 import time
-import warnings
 
 import numpy as np
 import pandas as pd
@@ -44,14 +43,14 @@ for _model in ("projected-gaussian", "langevin", "beta = 1"):
 
 def one(noise: str, level: float, model: str, problem: int, n: int = 20, n_draws: int = 300) -> dict[str, object]:
     """Sample one planted problem and see which balls cover the truth: one line of the file."""
-    warnings.simplefilter("ignore", diagnostics.ConvergenceWarning)
     strength = {"kappa" if noise == "langevin" else "sigma2": level}
     planted = rotations(seed=problem, n_nodes=11, n=n, noise=noise, **strength)
     p, began = planted.problem, time.process_time()
     thin = _THINNING.get((noise, level, model), 2)
     mle = fmsync.solve(p, "mle", rng=problem)
     options = {"n_chains": 1, "n_draws": n_draws, "warmup": 250, "thin": thin, **_MODELS[model]}
-    post = fmsync.sample(p, "heat-bath", rng=problem, init=mle, **options)
+    with diagnostics.short_run():
+        post = fmsync.sample(p, "heat-bath", rng=problem, init=mle, **options)
     truth = relative_maps(planted.truth, p.edges)
     draws = post.relative()[0]  # (draws, E, n, n)
     levels = np.array([calibration.ball_level(draws[:, e], truth[e]) for e in range(p.n_edges)])

@@ -157,12 +157,9 @@ def _replicated(planted: Planted, seed: int, kind: str, replica: int) -> tuple[P
     other = method_rng(seed).spawn(replica)[-1]
     if kind == "sampler":
         return planted, other
-
-    def moved(values: np.ndarray) -> np.ndarray:
-        return values + _ROUNDING * other.standard_normal(values.shape)
-
-    maps = moved(planted.problem.maps)
-    bases = tuple(replace(basis, eigenfunctions=moved(basis.eigenfunctions)) for basis in planted.bases)
+    exact = planted.problem.maps, *(basis.eigenfunctions for basis in planted.bases)
+    maps, *moved = (a + _ROUNDING * other.standard_normal(a.shape) for a in exact)
+    bases = tuple(replace(basis, eigenfunctions=a) for basis, a in zip(planted.bases, moved))
     return replace(planted, problem=replace(planted.problem, maps=maps), bases=bases), method_rng(seed)
 
 
@@ -184,5 +181,4 @@ def _peak(*, forget: bool = False) -> float:
             Path("/proc/self/clear_refs").write_text("5")
         if match := re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text()):
             return int(match[1]) / 1024
-    unit = 2**20 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -11,8 +11,6 @@ longer run, are passed over; given the data the truth is still one more draw. Wi
 all problems, and the table shows by how much balls miss then.
 """
 
-import warnings
-
 import networkx as nx
 import numpy as np
 import pandas as pd
@@ -55,8 +53,7 @@ def one(setting: str, prior: str, problem: int) -> dict[str, object]:
     line = {"setting": setting, "prior": prior, "problem": problem, "level": level, "ess": 0.0}
     found, energies, maps, n_draws = [], [], [], _DRAWS
     for _ in range(3):  # what one run lacks the next one adds
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", diagnostics.ConvergenceWarning)
+        with diagnostics.short_run():
             run = {"n_chains": _CHAINS, "n_draws": n_draws, "warmup": _WARMUP, "thin": thin, "init": "random"}
             post = fmsync.sample(p, "heat-bath", rng=rng, likelihood=noise, **run)
         levels = post.kappa if langevin else post.sigma2

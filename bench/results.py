@@ -17,7 +17,7 @@ _NUMBERS = ("n_nodes", "n", "density", "sigma2", "kappa", "outliers")
 PARAMETERS = (*_NUMBERS, "noise", "two_way", "around", "collection")
 _WHAT = ("generator", "problem", "seed", "label", "method", "options", "status")
 _WHERE = ("commit", "machine", "versions", "arithmetic", "code")
-_RESAMPLES = 2000
+_RESAMPLES, _TAIL = 2000, (1 - 0.95) / 2
 
 
 def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
@@ -26,12 +26,7 @@ def to_frame(suite: str, records: Iterable[Mapping]) -> pd.DataFrame:
     Columns: what the run is, metric, at, value, unit, direction, and where the number comes from: commit, machine,
     versions, arithmetic (:func:`data_gen.cache.arithmetic`) and code (:func:`bench.cache.code_hash`). The last two are
     None for runs that finished before they were recorded.
-
-    >>> record = {"generator": "g", "problem": {"n": 3}, "seed": 0, "label": "a", "method": "a", "options": {},
-    ...           "status": "ok", "metrics": [["edge_error", None, 0.5]], "commit": "c", "machine": "m", "versions": "v"}
-    >>> to_frame("s", [record])[["label", "metric", "value", "unit", "direction"]].values.tolist()
-    [['a', 'edge_error', 0.5, 'Frobenius', 'lower']]
-    """  # noqa: E501
+    """
     rows = []
     for record in records:
         run = {"suite": suite} | {name: record.get(name) for name in _WHAT + _WHERE}
@@ -76,19 +71,13 @@ def read(path: str | Path) -> pd.DataFrame:
     return frame.astype({name: object for name in frame.columns if frame[name].dtype == "category"})
 
 
-def bootstrap(values: Sequence[float], level: float = 0.95) -> tuple[float, float]:
-    """Percentile interval of the mean over resampled seeds; NaN for fewer than two.
-
-    >>> low, high = bootstrap([1.0, 2.0, 3.0, 4.0])
-    >>> 1.0 < low < 2.5 < high < 4.0
-    True
-    """
+def bootstrap(values: Sequence[float]) -> tuple[float, float]:
+    """Percentile interval of the mean over resampled seeds; NaN for fewer than two."""
     values = np.asarray(values, dtype=float)
     if len(values) < 2:
         return np.nan, np.nan
     drawn = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
-    tail = (1 - level) / 2
-    low, high = np.quantile(values[drawn].mean(axis=1), [tail, 1 - tail])
+    low, high = np.quantile(values[drawn].mean(axis=1), [_TAIL, 1 - _TAIL])
     return float(low), float(high)
 
 

@@ -34,8 +34,7 @@ def run_suite(
 
     ``n_jobs`` at a time on this machine, each with one BLAS thread, or on the Dask cluster whose ``scheduler`` has this
     address: runs of a worker that dies are given to another one. ``on_record`` is told of every run as it ends,
-    ``on_start`` first of how many were found and are left. A ValueError where nothing can be written (a full
-    disk), or the scheduler cannot be reached.
+    ``on_start`` first of how many were found and are left. A ValueError on a full disk or without the scheduler.
     """
     if n_jobs < 1:
         raise ValueError(f"n_jobs: need at least one process, got {n_jobs}")

@@ -1,7 +1,6 @@
 """What the stand-alone studies share: CPU seconds, and files of results that are added to."""
 
 import argparse
-import csv
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -69,16 +68,14 @@ def fill(
 
     A run that was stopped continues. It ends when all are done, after so many ``minutes``, or when ``enough()``.
     """
-    began, size, fresh = time.monotonic(), 4 * jobs, not path.exists()
-    known = set() if fresh else set(pd.read_csv(path)[list(fields[: len(todo[0])])].itertuples(index=False, name=None))
+    began, size = time.monotonic(), 4 * jobs
+    done = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=fields)
+    known = set(done[list(fields[: len(todo[0])])].itertuples(index=False, name=None))
     left = [task for task in todo if task not in known]
-    with path.open("a", newline="") as file, joblib.Parallel(jobs) as parallel:
-        writer = csv.DictWriter(file, fields)
-        if fresh:
-            writer.writeheader()
+    with joblib.Parallel(jobs) as parallel:
         for first in range(0, len(left), size):
-            file.flush()
             if time.monotonic() - began >= 60 * minutes or enough():
                 return
-            for line in parallel(joblib.delayed(work)(*task) for task in left[first : first + size]):
-                writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in line.items()})
+            lines = parallel(joblib.delayed(work)(*task) for task in left[first : first + size])
+            new = pd.DataFrame(lines, columns=fields)
+            new.to_csv(path, mode="a", header=not path.exists(), index=False, float_format="%.5g")

@@ -8,21 +8,4 @@ from data_gen.noise import perturb
 from data_gen.seeds import seed
 from data_gen.truth import GroundTruth, absolute_maps, fix_signs, ground_truth, measure_maps, planted
 
-__all__ = [
-    "Creature",
-    "GroundTruth",
-    "absolute_maps",
-    "correspondence_maps",
-    "fix_signs",
-    "front_paw",
-    "graph_edges",
-    "ground_truth",
-    "left_right_flip",
-    "load_collection",
-    "load_correspondences",
-    "measure_maps",
-    "perturb",
-    "planted",
-    "random_graph",
-    "seed",
-]
+__all__ = [name for name, value in globals().items() if callable(value)]  # all that is imported here

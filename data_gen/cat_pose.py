@@ -22,8 +22,6 @@ _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
 _TONE = 0.142  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
-
-
 _LIMBS = {"fore": ("upper arm", "forearm", "hand"), "hind": ("thigh", "shin", "foot", "toes")}
 
 

@@ -8,7 +8,7 @@ frame.
 
 import numpy as np
 
-from fmsync import so
+from fmsync import checks, so
 
 _GRID = 1024  # angles; drawing one cell and then uniformly within it errs by the square of its width
 _CHUNK = 512
@@ -21,9 +21,7 @@ def langevin_noise(n: int, kappa: float, size: int, rng: int | np.random.Generat
     >>> bool(abs(np.trace(noise, axis1=1, axis2=2).mean() - 3.90) < 0.02)
     True
     """
-    if not (np.isfinite(kappa) and kappa >= 0):
-        raise ValueError(f"kappa: must be finite and >= 0, got {kappa}")
-    rng = np.random.default_rng(rng)
+    kappa, rng = checks.not_negative("kappa", kappa), np.random.default_rng(rng)
     angles = langevin_angles(n, kappa, size, rng) * rng.choice([-1.0, 1.0], (size, n // 2))
     blocks = np.zeros((size, n, n))
     blocks[:, n - 1, n - 1] = 1.0  # of odd n; overwritten for even n

@@ -11,12 +11,7 @@ from data_gen.langevin import langevin_noise
 from data_gen.truth import GroundTruth
 from fmsync import SyncProblem, checks, so
 
-_VERSIONS = {
-    "fmsync": fmsync.__version__,
-    "numpy": np.__version__,
-    "scipy": scipy.__version__,
-    "python": platform.python_version(),
-}
+_VERSIONS = {m.__name__: m.__version__ for m in (fmsync, np, scipy)} | {"python": platform.python_version()}
 
 
 @checks.checked()

@@ -51,21 +51,13 @@ def add_products(
     fixed = [np.ascontiguousarray(a).view() for a in (to, left, first, transposed, right, second, weights)]
     for a in fixed:
         a.setflags(write=False)  # one compiled signature a precision, whoever owns the arrays
-    add_products_unchecked(out, *fixed)
+    _add_in_turn(out, tuple(fixed))
 
 
 @numba.njit(cache=True, nogil=True)
-def add_products_unchecked(
-    out: np.ndarray,
-    to: np.ndarray,
-    left: np.ndarray,
-    first: np.ndarray,
-    transposed: np.ndarray,
-    right: np.ndarray,
-    second: np.ndarray,
-    weights: np.ndarray,
-) -> None:
-    """:func:`add_products` of arrays of one precision, all C-contiguous, with ``weights`` (T,)."""
+def _add_in_turn(out: np.ndarray, fixed: tuple[np.ndarray, ...]) -> None:
+    """:func:`add_products`, whose other arguments are ``fixed``: arrays of one precision, all C-contiguous."""
+    to, left, first, transposed, right, second, weights = fixed
     rows, columns, inner = out.shape[1], out.shape[2], right.shape[1]
     c, a, b = out.reshape(-1), left.reshape(-1), right.reshape(-1)
     for t in range(len(to)):

@@ -25,15 +25,14 @@ def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     return (draws < truth).mean(axis=0)
 
 
-@checks.checked(ranks=checks.shares, bins=">= 2")
+@checks.checked(ranks="P", bins=">= 2")
 def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     r"""p-value of the :math:`\chi^2` test that ranks (P,) among ``n_draws`` draws are uniform.
 
     Bins expect as many as their share of the ``n_draws + 1`` possible ranks.
     """
-    ranks = np.asarray(ranks, dtype=float)
-    if ranks.ndim != 1 or len(ranks) < 5 * bins:
-        raise ValueError(f"ranks: expected (P,) with P >= {5 * bins} for {bins} bins, got shape {ranks.shape}")
+    if len(ranks) < 5 * bins or ranks.min() < 0 or ranks.max() > 1:
+        raise ValueError(f"ranks: expected at least {5 * bins} shares from 0 to 1 for {bins} bins, got {ranks}")
     possible = np.arange(n_draws + 1) * bins // (n_draws + 1)  # bin of every rank
     expected = np.bincount(possible, minlength=bins) * len(ranks) / (n_draws + 1)
     observed = np.bincount(possible[np.rint(ranks * n_draws).astype(int)], minlength=bins)
@@ -52,19 +51,6 @@ def ball_level(draws: np.ndarray, truth: np.ndarray) -> float:
     others = len(draws) / (len(draws) - 1)
     distances = others * np.linalg.norm(draws - mean, axis=(1, 2))
     return float(rank(distances, np.linalg.norm(truth - mean)))
-
-
-@checks.checked(levels="P M", nominal="L")
-def coverage(levels: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of truths that balls of ``nominal`` (L,) probabilities cover, and its standard error, (L,) each.
-
-    ``levels`` (P, M) are results of :func:`ball_level` for M maps of P problems; the error is that of P problem means.
-    """
-    levels = np.asarray(levels, dtype=float)
-    if levels.ndim != 2 or len(levels) < 2:
-        raise ValueError(f"levels: expected (problems, maps) with two problems at least, got shape {levels.shape}")
-    covered = (levels <= np.asarray(nominal)[:, None, None]).mean(axis=2)  # (L, P)
-    return covered.mean(axis=1), covered.std(axis=1, ddof=1) / np.sqrt(len(levels))
 
 
 @checks.checked(draws="T K n n", truth="K n n", levels="L")

@@ -254,14 +254,6 @@ def count(name: str, value: object, least: int = 1) -> int:
     return int(value) if isinstance(value, int | np.integer) else int(whole)
 
 
-def shares(name: str, value: object) -> np.ndarray:
-    """Numbers from 0 to 1, of any shape."""
-    found = array(name, value)
-    if ((found < 0) | (found > 1)).any():
-        raise ValueError(f"{name}: must lie in [0, 1], got {found[(found < 0) | (found > 1)].flat[0]}")
-    return found
-
-
 def one_of(name: str, value: object, choices: Collection[str]) -> None:
     """One of some names."""
     if not isinstance(value, str) or value not in choices:
@@ -324,12 +316,9 @@ def rotations(name: str, c: np.ndarray, each: str = "node") -> None:
 
 def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     """Edges (E, 2) of a connected graph without self-loops, a copy as int64."""
-    n_nodes, raw = count("n_nodes", n_nodes, least=2), plain("edges", edges)
-    if raw.ndim != 2 or raw.shape[1] != 2 or len(raw) == 0:
-        raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {raw.shape}")
-    if not np.issubdtype(raw.dtype, np.integer):
-        raise ValueError(f"edges: node numbers must be integers, got {raw.dtype}")
-    array = raw.astype(np.int64)
+    n_nodes, array = count("n_nodes", n_nodes, least=2), np.array(_integers("edges", edges))
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
+        raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {array.shape}")
     bad = np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))
     if bad.size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is out of range for {n_nodes} nodes")

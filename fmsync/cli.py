@@ -4,11 +4,31 @@ import argparse
 import os
 import sys
 import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import fmsync
 from fmsync import info_cli, problem_cli, sync_cli
 from fmsync.extras import MissingExtra
+
+_TYPES = {"Path": Path, "int": int, "float": float}
+_RUNS = {"sync": sync_cli.run, "transfer": sync_cli.run_transfer, "info": info_cli.run}
+_RUNS |= {"solve": problem_cli.run_solve, "sample": problem_cli.run_sample}
+
+
+def add_commands(
+    parser: argparse.ArgumentParser, file: Path, runs: Mapping[str, Callable[..., int]], **defaults: object
+) -> None:
+    """Add the commands that a TOML file tells, with their texts and options, and what runs each."""
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, told in tomllib.loads(file.read_text(encoding="utf-8")).items():
+        options, stopped = told.pop("options", {}), told.pop("stopped", "")
+        texts = {"description": told["help"], "formatter_class": argparse.RawDescriptionHelpFormatter} | told
+        command = commands.add_parser(name, **texts)
+        command.set_defaults(run=runs[name], stopped=stopped, **defaults)
+        for names, option in options.items():
+            kind = {"type": _TYPES[option["type"]]} if "type" in option else {}
+            command.add_argument(*names.split(), **option | kind)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,15 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="fmsync", description=fmsync.__doc__.partition("\n")[0])
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    texts = tomllib.loads(Path(__file__).with_name("help.toml").read_text(encoding="utf-8"))
-
-    def add(name: str) -> argparse.ArgumentParser:
-        return commands.add_parser(name, formatter_class=argparse.RawDescriptionHelpFormatter, **texts[name])
-
-    sync_cli.add_parsers(add)
-    problem_cli.add_parsers(add)
-    info_cli.add_parser(add)
+    add_commands(parser, Path(__file__).with_name("help.toml"), _RUNS, jobs=os.cpu_count())
     parsed = parser.parse_args(arguments)
     try:
         status: int = parsed.run(parsed)

@@ -3,21 +3,12 @@
 import argparse
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import fmsync
 from fmsync.problem_cli import as_json, print_summary
 
 _STEPS, _DEFAULT_STEPS = 3, 2000  # of the heat bath: timed, and those of fmsync sample without options
-
-
-def add_parser(add: Callable[[str], argparse.ArgumentParser]) -> None:
-    """Add ``info``."""
-    parser = add("info")
-    parser.add_argument("path", type=Path, metavar="FILE_OR_FOLDER", help="a problem (npz), a mesh, or a folder")
-    parser.add_argument("--json", action="store_true", help="print it as JSON")
-    parser.set_defaults(run=run, stopped="stopped")
 
 
 def run(options: argparse.Namespace) -> int:

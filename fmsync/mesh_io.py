@@ -9,8 +9,7 @@ import gc
 import math
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -65,14 +64,15 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
     where, and what to do when the file cannot be read or the mesh cannot be repaired.
     """
     path = _existing(Path(path))
+    collecting = gc.isenabled()
+    gc.disable()  # a search for cycles among a million words that are made at once slows the reading
     readers = {".off": _read_off, ".obj": _read_obj, ".ply": _read_ply, ".stl": _read_stl, ".vert": _read_vert_tri}
     try:
         if path.suffix.lower() not in readers:
             raise ValueError(f"unknown format {path.suffix!r}; convert it to one of {', '.join(SUFFIXES)}")
         if path.stat().st_size == 0:
             raise ValueError(f"the file is empty: {_AGAIN}")
-        with _collector_paused():
-            vertices, faces = readers[path.suffix.lower()](path)
+        vertices, faces = readers[path.suffix.lower()](path)
         finite = np.isfinite(vertices).all(axis=1)
         if not finite.all():
             raise ValueError(f"vertex {finite.argmin()} is not finite ({(~finite).sum()} such): {_AGAIN}")
@@ -83,17 +83,8 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
         return Shape(vertices, faces, path.stem)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-@contextmanager
-def _collector_paused() -> Iterator[None]:
-    """No search for cycles among a million words that are made at once: it slows the reading."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
     finally:
-        if was_on:
+        if collecting:
             gc.enable()
 
 

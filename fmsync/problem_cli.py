@@ -5,35 +5,11 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import fmsync
-
-
-def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
-    """Add ``solve`` and ``sample``."""
-    solve = add("solve")
-    solve.add_argument("--method", default="mle", help="an estimator, fmsync.methods() (%(default)s)")
-    solve.add_argument("--restarts", type=int, help="starts, the first the method's own and the others random")
-    solve.set_defaults(run=run_solve)
-    sample = add("sample")
-    sample.add_argument("--method", default="heat-bath", help="a sampler, fmsync.samplers.methods() (%(default)s)")
-    sample.add_argument("--chains", dest="n_chains", type=int, default=4, help="(%(default)s)")
-    sample.add_argument("--draws", dest="n_draws", type=int, default=1000, help="of each chain (%(default)s)")
-    sample.add_argument("--warmup", type=int, default=1000, help="steps before the first draw (%(default)s)")
-    sample.add_argument("--thin", type=int, default=1, help="steps from one draw to the next (%(default)s)")
-    sample.add_argument("--kappa", type=float, help="concentration of the observations (default: that of the method)")
-    sample.add_argument("--likelihood", default="langevin", help="or projected-gaussian, mixture (%(default)s)")
-    sample.set_defaults(run=run_sample)
-    for parser in (solve, sample):
-        parser.add_argument("problem", type=Path, metavar="PROBLEM.npz", help="written by fmsync.save_problem")
-        parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.npz", help="file to write")
-        parser.add_argument("--seed", type=int, default=0, help="same seed, same answer (%(default)s)")
-        parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
-        parser.set_defaults(stopped="stopped; nothing was written")
 
 
 def run_solve(options: argparse.Namespace) -> int:

@@ -24,10 +24,6 @@ class Registry(dict[str, Entry]):
 
         return keep
 
-    def names(self) -> list[str]:
-        """All names."""
-        return sorted(self)
-
     def find(self, method: str, options: Mapping[str, object]) -> tuple[Entry, list[str]]:
         """The entry and the options it knows; a ValueError with the nearest names, or with the options it does know."""
         if method not in self:

@@ -40,8 +40,7 @@ class Shape:
         if not isinstance(self.name, str):
             raise ValueError(f"name: expected a string, got {self.name!r}")
         vertices, faces = _checked_mesh(self.vertices, self.faces, self.name)
-        faces = None if faces is None else np.ascontiguousarray(faces)
-        checks.set_fields(self, vertices=np.ascontiguousarray(vertices), faces=faces)
+        checks.set_fields(self, vertices=vertices, faces=faces)
 
     @property
     def n_vertices(self) -> int:
@@ -109,11 +108,9 @@ class Basis:
             raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
-    @checks.checked(k=">= 0")
+    @checks.checked(k="< n")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
-        if not 0 <= k < self.n:
-            raise ValueError(f"k = {k} is not one of the basis functions 0..{self.n - 1}")
         signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
         return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
 
@@ -230,7 +227,7 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices as float64 and faces as int64 (or None), or a ValueError that names the first offender."""
-    vertices = checks.real(f"{name}: vertices", vertices).astype(np.float64)
+    vertices = checks.real(f"{name}: vertices", vertices).astype(np.float64, order="C")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ValueError(f"{name}: vertices must have shape (V, 3), got {vertices.shape}")
     if len(vertices) == 0:
@@ -240,17 +237,14 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
         raise ValueError(f"{name}: vertex {bad[0]} is not finite ({len(bad)} such vertices): repair or remove it")
     if faces is None:
         return vertices, None
-    return vertices, _checked_faces(vertices, checks.plain(f"{name}: faces", faces), name)
-
-
-def _checked_faces(vertices: np.ndarray, faces: np.ndarray, name: str) -> np.ndarray:
+    faces = checks.plain(f"{name}: faces", faces)
     if faces.size == 0:
         raise ValueError(f"{name}: no faces; pass faces=None for a point cloud")
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"{name}: faces must have shape (F, 3), got {faces.shape}: triangulate the mesh first")
     if not np.issubdtype(faces.dtype, np.integer):
         raise ValueError(f"{name}: faces must hold integers, got {faces.dtype}")
-    faces = faces.astype(np.int64)
+    faces = faces.astype(np.int64, order="C")
     bad = np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))
     if len(bad):
         raise ValueError(f"{name}: face {bad[0]} is {faces[bad[0]]}, outside the vertices 0..{len(vertices) - 1}")
@@ -262,4 +256,4 @@ def _checked_faces(vertices: np.ndarray, faces: np.ndarray, name: str) -> np.nda
         raise ValueError(f"{name}: vertex {unused[0]} belongs to no face ({len(unused)} such): remove it and renumber")
     if not triangle_areas(vertices, faces).sum() > 0:
         raise ValueError(f"{name}: the surface has area zero: all faces are degenerate")
-    return faces
+    return vertices, faces

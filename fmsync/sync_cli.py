@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -17,38 +17,6 @@ import fmsync
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
-
-
-def add_parsers(add: Callable[[str], argparse.ArgumentParser]) -> None:
-    """Add ``sync`` and ``transfer``."""
-    parser = add("sync")
-    parser.add_argument("meshes", nargs="+", metavar="MESH", help="files (off, obj, ply, stl) or folders of them")
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="folder, new or empty")
-    parser.add_argument("--maps", type=Path, metavar="FOLDER", help="maps of pairs to synchronise, from any matcher")
-    parser.add_argument("--graph", default="complete", help="complete, or k4 for four neighbours by spectrum")
-    told = "of the regions, from ConformalCalibration.save (default: one fitted on random species)"
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help=told)
-    parser.add_argument("--basis", type=int, default=20, help="functions of the maps that are sampled (%(default)s)")
-    parser.add_argument("--refined", type=int, default=120, help="functions of maps that carry points (%(default)s)")
-    parser.add_argument("--samples", type=int, default=1000, help="samples of each shape (%(default)s)")
-    parser.add_argument("--draws", type=int, default=1000, help="posterior draws (%(default)s)")
-    parser.add_argument("--level", type=float, default=0.9, help="probability of the regions (%(default)s)")
-    told = "text file of vertices, counted from zero, that correspond: a line 'NAME: 12 340 7' for every mesh, or "
-    told += "lines of numbers alone in the order in which the meshes are listed"
-    parser.add_argument("--landmarks", type=Path, metavar="FILE", help=told)
-    parser.add_argument("--drop-outliers", action="store_true", help="leave out shapes that are unlike the rest")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: cores)")
-    parser.add_argument("--seed", type=int, default=0, help="of the draws (%(default)s)")
-    parser.add_argument("--json", action="store_true", help="print a summary of the result as JSON")
-    parser.set_defaults(run=run, stopped="stopped; what is finished is kept, give the same command again to go on")
-    parser = add("transfer")
-    parser.add_argument("synced", type=Path, metavar="OUT", help="folder that fmsync sync has written")
-    columns = "csv with named columns and a row a vertex; decimal points make functions, anything else labels; or "
-    columns += "landmarks, a column 'vertex' alone that counts from zero"
-    parser.add_argument("values", type=Path, metavar="VALUES", help=columns)
-    parser.add_argument("--on", metavar="NAME", help="shape that VALUES belong to (default: the first)")
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="RESULT", help="folder, new or empty")
-    parser.set_defaults(run=run_transfer, stopped="stopped")
 
 
 def run_transfer(options: argparse.Namespace) -> int:

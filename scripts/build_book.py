@@ -18,8 +18,7 @@ from jupyter_cache.executors.utils import single_nb_execution
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
-from fmsync_book import cache_folder  # noqa: E402
-from fmsync_status import notebook_of, pages, surroundings  # noqa: E402
+from fmsync_book import cache_folder, notebook_of, pages, surroundings  # noqa: E402
 
 _KEPT_CACHES = 4  # with and without the TOSCA cats, and the two before
 

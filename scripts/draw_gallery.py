@@ -30,9 +30,7 @@ def sign_trap(shapes: list[fmsync.Shape]) -> Figure:
     bases = [fmsync.laplace_beltrami(s.vertices, s.faces, 10) for s in shapes]
     fixed, every = data_gen.fix_signs(bases), np.arange(shapes[0].n_vertices)
     maps = [fmsync.functional_map(bases[0], other, every) for other in bases]
-    turned = [
-        np.argmin((f.eigenfunctions * b.eigenfunctions).sum(axis=0)) for b, f in zip(bases, fixed)
-    ]  # the fixed one
+    turned = [np.argmin((f.eigenfunctions * b.eigenfunctions).sum(axis=0)) for b, f in zip(bases, fixed)]
     a = min(range(1, len(shapes)), key=lambda k: maps[k][turned[k], turned[k]])  # where it is clearest
     at = turned[a]
     fig, axes = plt.subplots(2, 3, figsize=(8, 5.2))

@@ -21,7 +21,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(ROOT / "scripts")]
-from fmsync_status import pages, surroundings  # noqa: E402
+from fmsync_book import cache_folder, pages, surroundings  # noqa: E402
 from other_arithmetic import other_arithmetic  # noqa: E402
 
 from fmsync.files import replacing  # noqa: E402
@@ -119,8 +119,6 @@ def main() -> int:
     if wrong:
         print(wrong[0], file=sys.stderr)
         return 2
-    from fmsync_book import cache_folder
-
     chosen = {c: p for c, p in known.items() if not options.chapters or c in options.chapters}
     worlds = [(a, s) for s in shifts(options.seed) for a in (("native",) if options.native else ("native", "other"))]
     columns = [f"{a} {s:+d}" for a, s in worlds]

@@ -30,8 +30,8 @@ def _load(path: str):
 zip_book = _load("scripts/zip_book.py")
 overview = _load("scripts/draw_overview.py")
 sync_notebooks = _load("scripts/sync_notebooks.py")
-status = _load("book/_ext/fmsync_status.py")
 book = _load("book/_ext/fmsync_book.py")
+reference = _load("book/_ext/fmsync_reference.py")
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_nothing_is_packed_before_the_book_is_built(tmp_path):
 
 
 def test_every_chapter_is_in_the_contents_once():
-    listed = status.pages()
+    listed = book.pages()
     written = [page for folder in ("chapters", "how-to") for page in (ROOT / "book" / folder).glob("*.md")]
     assert sorted(listed) == sorted(written)
 
@@ -81,7 +81,7 @@ def test_every_chapter_is_in_the_contents_once():
 def test_status_tells_what_ran_and_what_did_not():
     ran, missing = Path("chapters/ran.md"), Path("chapters/missing.md")
     data = {"execution_seconds": 90.2, "cpu_seconds": 60.0, "machine": "a machine", "shapes": "cats", "system": "Linux"}
-    lines = status.status_table([ran, missing], {ran: data})
+    lines = reference.status_table([ran, missing], {ran: data})
     assert "| {doc}`/chapters/ran` | 90 | 60 | passed |" in lines
     assert "| {doc}`/chapters/missing` | – | – | not run |" in lines
     assert "Together 1.0 CPU-minutes." in lines
@@ -91,10 +91,10 @@ def test_status_tells_what_ran_and_what_did_not():
 
 def test_surroundings_name_the_shapes_in_use(monkeypatch, tmp_path):
     monkeypatch.delenv("FMSYNC_DATA", raising=False)
-    assert status.surroundings()["shapes"] == "the cats that come with the project"
+    assert book.surroundings()["shapes"] == "the cats that come with the project"
     (tmp_path / "tosca_cat").mkdir()
     monkeypatch.setenv("FMSYNC_DATA", str(tmp_path))
-    assert status.surroundings()["shapes"] == "the TOSCA cats"
+    assert book.surroundings()["shapes"] == "the TOSCA cats"
 
 
 def test_pages_offer_to_run_elsewhere_only_with_an_address():
@@ -171,7 +171,7 @@ def test_the_picture_tells_the_truth():
 
 def test_licences_name_each_package_once_and_what_is_not_installed():
     extras = {"a": ["tqdm"], "own": ["fmsync[viz]"]}
-    rows = status.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
+    rows = reference.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| no_such", "| tqdm"]
     assert rows[2].endswith("| – | – |")
     assert rows[3].startswith("| tqdm | core | ")

@@ -167,7 +167,7 @@ def test_flipping_and_truncating():
     flipped = basis.with_flipped(2)
     np.testing.assert_array_equal(flipped.eigenfunctions, basis.eigenfunctions * [1, 1, -1, 1, 1])
     np.testing.assert_array_equal(basis.truncated(3).eigenfunctions, basis.eigenfunctions[:, :3])
-    with pytest.raises(ValueError, match="k = 5"):
+    with pytest.raises(ValueError, match="k: 5 is outside 0..4"):
         basis.with_flipped(5)
     with pytest.raises(ValueError, match="n = 6"):
         basis.truncated(6)

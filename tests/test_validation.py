@@ -60,7 +60,6 @@ ALLOWED = {
     ("fmsync.so.random_uniform", "size", "number"): "a size may be one number",
     ("fmsync.bounds.is_small_error", "squared", "scalar"): "squared errors may have any shape",
     ("fmsync.bounds.is_small_error", "squared", "two axes"): "squared errors may have any shape",
-    ("fmsync.calibration.coverage", "levels", "a column less"): "any number of maps",
     ("fmsync.diagnostics.ess", "values", "a column less"): "any number of draws",
     ("fmsync.diagnostics.rhat", "values", "a column less"): "any number of draws",
     ("fmsync.energy.transposed_sums", "blocks", "a column less"): "blocks may be (n, m)",
@@ -202,7 +201,6 @@ class Valid:
             "fmsync.calibration.rank": {"draws": rng.random((9, 4)), "truth": rng.random(4)},
             "fmsync.calibration.uniformity": {"ranks": np.arange(60) / 59, "n_draws": 59, "bins": 10},
             "fmsync.calibration.ball_level": {"draws": rotations, "truth": rotations[0]},
-            "fmsync.calibration.coverage": {"levels": rng.random((5, 4)), "nominal": np.array([0.5, 0.9])},
             "fmsync.calibration.covered": {"draws": start, "truth": c, "levels": np.array([0.5, 0.9])} | {
                 "draws": so.random_uniform(3, (6, 4), rng=7)
             },

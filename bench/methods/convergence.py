@@ -1,12 +1,11 @@
 """An iterative estimator with every step of its way, for the figure of convergence."""
 
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
 from bench.methods import Answer, Rng, SyncProblem, method
 from fmsync import estimators
-from fmsync.problem import relative_maps
 
 _MOST_STEPS = 60
 
@@ -21,10 +20,5 @@ def convergence(problem: SyncProblem, *, rng: Rng, of: str = "mle", on_group: bo
             states.append((iteration, absolute.copy()))
 
     estimate = estimators.solve(problem, of, rng=rng, callback=keep, **options)
-
-    def relative(absolute: np.ndarray, pairs: np.ndarray):
-        if on_group:
-            return relative_maps(absolute, pairs)
-        return np.linalg.solve(absolute[pairs[:, 0]], absolute[pairs[:, 1]])
-
-    return Answer(estimate.relative, path=tuple((k, partial(relative, absolute)) for k, absolute in states))
+    path = ((k, replace(estimate, absolute=absolute, on_group=on_group).relative) for k, absolute in states)
+    return Answer(estimate.relative, path=tuple(path))

@@ -99,8 +99,13 @@ def load_suite(
     extra = {added: str(Path(file).resolve()) for file in files for added in methods.load(file)}
     reader = _Reader(path, extra)
     runs = reader.runs(seeds)
+    if Path(collection).name != collection:
+        raise ValueError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
     if collection:
-        runs = _of_collection(runs, collection, path)
+        runs = [replace(c, problem={**c.problem, "collection": collection}) for c in runs if "collection" in c.problem]
+        if not runs:
+            raise ValueError(f"{path}: no grid names a collection that {collection!r} could replace")
+        data_hash(runs[0].generator, runs[0].problem)  # refuses one that is not on this machine
     try:
         runs = [run for run in runs if re.search(only or "", str(run))]
     except re.error as error:
@@ -108,20 +113,6 @@ def load_suite(
     if not runs:
         raise ValueError(f"only: no run of {path.stem} matches {only!r}")
     return Suite(path.stem + f"@{collection}" * bool(collection), reader.file["description"], tuple(runs))
-
-
-def _of_collection(runs: Iterable[Run], collection: str, path: Path) -> list[Run]:
-    """The runs on shapes, with the shapes of another collection, all of which must be on this machine."""
-    if Path(collection).name != collection:
-        raise ValueError(f"collection: {collection!r} is not a name; put the folder into the one FMSYNC_DATA names")
-    moved = [replace(c, problem={**c.problem, "collection": collection}) for c in runs if "collection" in c.problem]
-    if not moved:
-        raise ValueError(f"{path}: no grid names a collection that {collection!r} could replace")
-    try:
-        data_hash(moved[0].generator, moved[0].problem)
-    except ValueError as error:
-        raise ValueError(f"collection: {error}") from error
-    return moved
 
 
 def generator_function(generator: str) -> Callable:

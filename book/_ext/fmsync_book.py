@@ -1,18 +1,24 @@
-"""Sphinx extension of this book: pages that need no network, an execution cache that goes stale, notebook links."""
+"""This book for Sphinx: executable pages and their cache, which goes stale; no network; links to notebooks."""
 
 import hashlib
 import importlib.util
 import os
+import platform
 import shutil
 from pathlib import Path
 
+import yaml
+from myst_nb.core.read import read_myst_markdown_notebook
+from nbformat import NotebookNode
 from sphinx.application import Sphinx
 from sphinx.util.fileutil import copy_asset_file
+
+from bench.provenance import machine
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def cache_folder(root: Path = ROOT) -> Path:
+def cache_folder() -> Path:
     """Execution cache named by everything a page depends on besides its own cells.
 
     The library, the problem generator, the committed results, the lock file, the collection in use, and whether
@@ -21,18 +27,40 @@ def cache_folder(root: Path = ROOT) -> Path:
     from fmsync.viz.scenes import can_render
 
     digest = hashlib.sha256(f"turnable scenes: {can_render()}".encode())
-    files = [root / "requirements.txt"]
+    files = [ROOT / "requirements.txt"]
     for package, pattern in (("fmsync", "*.py"), ("data_gen", "*"), ("bench", "*"), ("results", "*")):
-        files += sorted(p for p in (root / package).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
+        files += sorted(p for p in (ROOT / package).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
     files = [file for file in files if file.name != "worlds.json"]  # of which the status page alone speaks
     for file in files:
-        digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+        digest.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes())
     collection = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
     if collection.is_dir():
         for file in sorted(collection.iterdir()):
             stat = file.stat()
             digest.update(f"{file.name} {stat.st_size} {stat.st_mtime_ns}\n".encode())
-    return root / "_build" / ".jupyter_cache" / digest.hexdigest()[:12]
+    return ROOT / "_build" / ".jupyter_cache" / digest.hexdigest()[:12]
+
+
+def pages() -> list[Path]:
+    """Executable pages of the table of contents, in its order."""
+    toc = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
+    files = [ROOT / "book" / f"{entry['file']}.md" for part in toc["parts"] for entry in part["chapters"]]
+    return [f for f in files if "kernelspec:" in f.read_text(encoding="utf-8")[:600]]
+
+
+def surroundings() -> dict[str, str]:
+    """Where a page is executed; kept beside its outputs."""
+    shapes = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
+    return {
+        "machine": machine(),
+        "system": f"{platform.system()} {platform.release()}, Python {platform.python_version()}",
+        "shapes": "the TOSCA cats" if shapes.is_dir() else "the cats that come with the project",
+    }
+
+
+def notebook_of(page: Path) -> NotebookNode:
+    """The cells of a page; what the execution cache finds its outputs by."""
+    return read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
 
 
 def _configure(app, config):

@@ -21,7 +21,6 @@ Callback = Callable[[int, np.ndarray, float, float], None]  # (iteration, absolu
 #: Estimators by name.
 ESTIMATORS: "Registry[Callable[..., Estimate]]" = Registry("estimator", given=("problem", "rng", "callback"))
 
-
 _FIRST_ORDER = ("spectral", "mle", "staircase")  # equal to first order in the noise
 GROUPS = ("SO", "O")  # what estimates may be: rotations, or all orthogonal matrices
 _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back to machine precision
@@ -162,4 +161,4 @@ estimator = ESTIMATORS.register
 
 def methods() -> list[str]:
     """Names that :func:`solve` knows."""
-    return ESTIMATORS.names()
+    return sorted(ESTIMATORS)

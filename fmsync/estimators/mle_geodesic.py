@@ -51,23 +51,24 @@ def _minimise(
     problem: SyncProblem, absolute: np.ndarray, recorder: Recorder, tolerance: float, max_iterations: int
 ) -> tuple[np.ndarray, float, float]:
     """Rotations, their cost and the norm of its gradient."""
-    observed = so.project_unchecked(problem.maps)
-    metric = _laplacian_inverse(problem)
+    observed, factor = so.project_unchecked(problem.maps), grounded_laplacian(problem)
+
+    def metric(gradient: np.ndarray) -> np.ndarray:  # the inverse of twice the graph Laplacian; node 1 is held
+        solution = np.zeros_like(gradient)
+        solution[1:] = factor.solve(gradient[1:].reshape(len(gradient) - 1, -1)).reshape(solution[1:].shape) / 2
+        return solution
+
     cost, gradient = _evaluate(problem, observed, absolute)
     norm, pairs = float(np.linalg.norm(gradient)), Pairs()
     recorder(absolute, cost, norm)
     while norm > tolerance and len(recorder) <= max_iterations:
         direction = -_two_loop(gradient, pairs, metric)
         slope = np.vdot(gradient, direction)
-        if slope >= 0:  # the memory has gone stale across the cut locus
-            pairs.clear()
-            direction = -metric(gradient)
-            slope = np.vdot(gradient, direction)
-        found = _backtrack(problem, observed, absolute, direction, cost, slope)
+        found = _backtrack(problem, observed, absolute, direction, cost, slope) if slope < 0 else None
         if found is None:
             if not pairs:
                 break  # the predicted decrease is below rounding
-            pairs.clear()
+            pairs.clear()  # the memory has gone stale across the cut locus
             continue
         step, absolute, cost, new_gradient = found
         change = new_gradient - gradient
@@ -89,18 +90,6 @@ def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) 
     np.add.at(gradient, j, pull)
     np.subtract.at(gradient, i, pull)  # C_i A Λ Aᵀ C_iᵀ = C_j Λ C_jᵀ: one matrix, two signs
     return cost, gradient
-
-
-def _laplacian_inverse(problem: SyncProblem) -> Callable[[np.ndarray], np.ndarray]:
-    """The inverse of twice the scalar graph Laplacian, applied to every entry of (N, n, n); node 1 is held."""
-    factor = grounded_laplacian(problem)
-
-    def apply(gradient: np.ndarray) -> np.ndarray:
-        solution = np.zeros_like(gradient)
-        solution[1:] = factor.solve(gradient[1:].reshape(len(gradient) - 1, -1)).reshape(solution[1:].shape) / 2
-        return solution
-
-    return apply
 
 
 def _two_loop(gradient: np.ndarray, pairs: Pairs, metric: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

@@ -21,7 +21,7 @@ from fmsync.estimators import Estimate
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.functional_maps import vertex_images
-from fmsync.matching.confidence import Confidence, confidence
+from fmsync.matching.confidence import Confidence, confidence, draw_images
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.network import (
@@ -156,13 +156,11 @@ class SyncedShapes:
         observed = self.observed
 
         def images(a: int, b: int) -> np.ndarray:
-            c = observed[a, b]
-            return nearest_rows(self.shapes[a].sampled()[:, : len(c)] @ c, self.shapes[b].sampled()[:, : c.shape[1]])
+            return draw_images(self.shapes[a], self.shapes[b], observed[a, b][None])[0]
 
-        with single_threaded_blas():
-            votes = [images(i, j)] if (i, j) in observed else []
-            through = [k for k in range(len(self.shapes)) if (i, k) in observed and (k, j) in observed]
-            votes += [images(k, j)[images(i, k)] for k in through]
+        votes = [images(i, j)] if (i, j) in observed else []
+        through = [k for k in range(len(self.shapes)) if (i, k) in observed and (k, j) in observed]
+        votes += [images(k, j)[images(i, k)] for k in through]
         return np.array(votes or [self.sample_images(i, j)])
 
 

@@ -40,6 +40,8 @@ class Target:
             checks.one_of(name, getattr(self, name), choices)
         if self.prior is not None:
             check_prior(self.problem, self.prior)
+        if self.likelihood != "langevin" and (self.problem.weights != 1).any():
+            raise ValueError(f"weights: likelihood={self.likelihood!r} needs weights 1; repeat an edge instead")
         if self.energy == "geodesic":
             checks.rotations("maps (node = edge)", self.problem.maps)
         if self.kappa is not None and beta is not None:
@@ -133,4 +135,4 @@ sampler = SAMPLERS.register  #: register a sampler class under a name
 
 def methods() -> list[str]:
     """Names that :func:`fmsync.sample` knows."""
-    return SAMPLERS.names()
+    return sorted(SAMPLERS)

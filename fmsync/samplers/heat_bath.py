@@ -1,7 +1,5 @@
 """The heat bath: exact Gibbs sweeps over planes of every map, without a step size, without rejections."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from fmsync import checks, so
@@ -42,18 +40,18 @@ class HeatBath(Sampler):
         self._states, self._streams = np.ascontiguousarray(streams[:, 0]), np.ascontiguousarray(streams[:, 1:])
         self._x = np.ascontiguousarray(so.transpose(start))  # (K, N, n, n), transposed maps
         self._field, self._likelihood = target.field, target.likelihood
-        start_of, edge, self._other, forward = problem.incidence
-        self._start_of, self._planes, self.threads = start_of, plane_rotations.rounds(problem.n), ThreadPool()
-        self._order, self._colours = plane_rotations.colours(start_of, self._other)
+        self._start_of, _, self._other, _ = problem.incidence
+        self._planes = plane_rotations.rounds(problem.n)
+        self._order, self._colours = plane_rotations.colours(self._start_of, self._other)
         self._gains = np.empty(start.shape[:2])
-        self._heavy = self._gains.size * problem.n**2 * (problem.n + 30) > _WORTH_THREADS
+        self.threads = ThreadPool(alone=self._gains.size * problem.n**2 * (problem.n + 30) <= _WORTH_THREADS)
         self.inverse_temperature = np.ones(len(start))
         self._latent: PolarFactors | Inliers | None = None
         if target.likelihood == "langevin":
             self._concentration = Concentration(target, len(start), rng)
             self.kappa = self._concentration.value
             blocks = np.empty(2 * problem.n_edges * problem.n**2)
-            plane_rotations.node_blocks(problem.maps, problem.weights, start_of, edge, forward, blocks)
+            plane_rotations.node_blocks(problem.maps, problem.weights, problem.incidence, blocks)
             self._blocks = blocks[None]  # every chain reads the same
         else:
             self._latent = (Inliers if target.likelihood == "mixture" else PolarFactors)(target, len(start), rng)
@@ -82,7 +80,7 @@ class HeatBath(Sampler):
         """One sweep of every chain, after a draw of what is unknown beside the maps."""
         moving = not (warmup and self._age < _BURN_IN)
         if self._latent is not None:
-            self._latent.step(self._x, self._states, moving, self._over_chains, self.inverse_temperature)
+            self._latent.step(self._x, self._states, moving, self.threads.parallel_for, self.inverse_temperature)
             self.kappa = self._latent.kappa
         elif self._concentration.inferred and moving:
             self._concentration.update(self._traces, self._states, self.inverse_temperature)
@@ -119,8 +117,8 @@ class HeatBath(Sampler):
                 self._planes, nodes, self._streams[chains], self._gains[chains],
             )  # fmt: skip
 
-        if n_chains >= self.threads.size or not self._heavy:
-            self._over_chains(lambda first, last: sweep(slice(first, last), order), n_chains)
+        if n_chains >= self.threads.size:
+            self.threads.parallel_for(lambda first, last: sweep(slice(first, last), order), n_chains)
             return
         for first, last in zip(self._colours, self._colours[1:]):
             nodes = order[first:last]
@@ -132,12 +130,6 @@ class HeatBath(Sampler):
                     sweep(slice(None), nodes[a:b])
 
                 self.threads.parallel_for(some, len(nodes))
-
-    def _over_chains(self, work: Callable[[int, int], None], count: int) -> None:
-        if self._heavy:
-            self.threads.parallel_for(work, count)
-        else:
-            work(0, count)
 
     def _refresh(self) -> None:
         """Take off the rounding that maps and accumulated energies gathered."""

@@ -76,8 +76,6 @@ class Inliers:
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self._problem = p = target.problem
         checks.rotations("maps (node = edge)", p.maps)
-        if (p.weights != 1).any():
-            raise ValueError("weights: likelihood='mixture' needs weights 1; repeat an edge instead")
         self._field = target.field
         self._concentration = Concentration(target, n_chains, rng)
         self.kappa, self.inferred = self._concentration.value, self._concentration.inferred
@@ -108,7 +106,7 @@ class Inliers:
             counts = self._inlier.sum(axis=1)
             self._concentration.update((self._inlier * traces).sum(axis=1), states, powers, counts)
         for k in range(len(x)):
-            node_blocks(p.maps, self._inlier[k], start, edge, forward, self.blocks[k])
+            node_blocks(p.maps, self._inlier[k], p.incidence, self.blocks[k])
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""

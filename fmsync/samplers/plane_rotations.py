@@ -4,6 +4,7 @@ Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rota
 planes of a map are visited in rounds of disjoint ones, whose angles do not wait for each other: all are drawn at once.
 """
 
+import networkx as nx
 import numba
 import numpy as np
 
@@ -17,42 +18,26 @@ def rounds(n: int) -> np.ndarray:
     return np.array([[sorted(pair) for pair in pairs if max(pair) < n] for pairs in table]).reshape(-1, n // 2, 2)
 
 
-@numba.njit(cache=True, nogil=True)
 def colours(start: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A greedy colouring: nodes in the order of their colours, and where each colour begins (C + 1,).
 
     Nodes of one colour are not neighbours: what one does is nothing to the others, in whatever order they are visited.
     """
-    n_nodes, n_colours = len(start) - 1, 0
-    colour, taken = np.full(n_nodes, -1), np.full(n_nodes + 1, -1)
-    first, order = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(n_nodes, dtype=np.int64)
-    for i in range(n_nodes):
-        for t in range(start[i], start[i + 1]):
-            if colour[other[t]] >= 0:
-                taken[colour[other[t]]] = i
-        colour[i] = 0
-        while taken[colour[i]] == i:
-            colour[i] += 1
-        n_colours = max(n_colours, colour[i] + 1)
-    placed = 0
-    for k in range(n_colours):  # numba takes a third of the whole sweep's time to compile max and a stable argsort
-        for i in range(n_nodes):
-            if colour[i] == k:
-                order[placed] = i
-                placed += 1
-        first[k + 1] = placed
-    return order, first[: n_colours + 1]
+    graph, node = nx.empty_graph(len(start) - 1), np.repeat(np.arange(len(start) - 1), np.diff(start))
+    graph.add_edges_from(zip(node.tolist(), other.tolist()))
+    found = nx.greedy_color(graph, lambda graph, colours: graph)  # one node after the other
+    colour = np.array([found[i] for i in graph])
+    return np.argsort(colour, kind="stable"), np.append(0, np.cumsum(np.bincount(colour)))
 
 
 @numba.njit(cache=True, nogil=True)
-def node_blocks(
-    maps: np.ndarray, weights: np.ndarray, start: np.ndarray, edge: np.ndarray, forward: np.ndarray, out: np.ndarray
-) -> None:
+def node_blocks(maps: np.ndarray, weights: np.ndarray, incidence: tuple[np.ndarray, ...], out: np.ndarray) -> None:
     r"""What every neighbour says, side by side: out (2E n²,) holds at ``start[i] n²`` the (n, deg n) blocks of node i.
 
-    With them :math:`S_i^\top` is one product with the stacked transposed maps of the neighbours.
+    With them :math:`S_i^\top` is one product with the stacked transposed maps of the neighbours. ``incidence`` is the
+    problem's, which begins with ``start``.
     """
-    n = maps.shape[-1]
+    (start, edge, _, forward), n = incidence, maps.shape[-1]
     for i in range(len(start) - 1):
         degree = start[i + 1] - start[i]
         block = out[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)

@@ -40,8 +40,6 @@ class PolarFactors:
         n, n_edges = self._problem.n, self._problem.n_edges
         if target.kappa is not None:
             raise ValueError("kappa, beta: likelihood='projected-gaussian' infers sigma2; leave them out")
-        if (self._problem.weights != 1).any():
-            raise ValueError("weights: likelihood='projected-gaussian' needs weights 1; repeat an edge instead")
         sigma2 = np.clip(1 / target.matched_kappa("sigma2", rng), LEAST_SIGMA2, 1.0)
         self.sigma2 = np.full(n_chains, sigma2)
         noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
@@ -59,16 +57,14 @@ class PolarFactors:
 
         The coupling of maps and observations, tr(Mᵀ C_iᵀ C_j)/σ², is multiplied by ``powers`` (K,).
         """
-        p = self._problem
-        start, edge, _, forward = p.incidence
-        self._age += 1
+        p, self._age = self._problem, self._age + 1
         parity = self._age % 2
 
         def some(first: int, last: int) -> None:
             own = slice(first, last)
             polar_factor_step(
                 x[own], self._vectors[own], self._values[own], self.sigma2[own], powers[own], self.blocks[own],
-                states[own], p.edges, p.maps, self._halves[parity], parity, infer, start, edge, forward,
+                states[own], p.edges, p.maps, p.incidence, self._halves[parity], parity, infer,
             )  # fmt: skip
 
         over_chains(some, len(x))
@@ -93,12 +89,10 @@ def polar_factor_step(
     states: np.ndarray,
     edges: np.ndarray,
     maps: np.ndarray,
+    incidence: tuple[np.ndarray, ...],
     planes: np.ndarray,
     parity: int,
     infer: bool,
-    start: np.ndarray,
-    edge: np.ndarray,
-    forward: np.ndarray,
 ) -> None:
     """All edges of every chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
@@ -142,7 +136,7 @@ def polar_factor_step(
                     scaled[a, b] = values[k, e, a] * vectors[k, e, a, b]
             np.dot(vectors[k, e].T, scaled, product)
             np.dot(maps[e], product, unprojected[e])
-        node_blocks(unprojected, ones, start, edge, forward, blocks[k])
+        node_blocks(unprojected, ones, incidence, blocks[k])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})

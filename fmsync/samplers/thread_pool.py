@@ -13,10 +13,10 @@ import numpy as np
 
 
 class ThreadPool:
-    """Up to ``NUMBA_NUM_THREADS`` threads; they are started when first needed and end with the object."""
+    """Up to ``NUMBA_NUM_THREADS`` threads, or the caller ``alone``; they start when needed, and end with the object."""
 
-    def __init__(self) -> None:
-        self.size: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    def __init__(self, alone: bool = False) -> None:
+        self.size: int = 1 if alone else numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
         self._pool: ThreadPoolExecutor | None = None
 
     def parallel_for(self, work: Callable[[int, int], None], count: int) -> None:

@@ -12,6 +12,10 @@ from bench.cache import ResultCache, key_of
 KEY = key_of({"a": 1})
 
 
+def test_the_order_of_keys_does_not_matter():
+    assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
+
+
 def test_round_trip_with_numbers_that_json_does_not_know(tmp_path):
     cache = ResultCache(tmp_path)
     assert cache.read(KEY) is None

@@ -9,7 +9,7 @@ import pyvista as pv
 from scipy.sparse import coo_array
 
 import fmsync
-from data_gen.cat_body import BLEND, cat_body
+from data_gen.cat_body import cat_body
 from data_gen.cat_pose import POSES, Rig, joint_transforms, muscle_tone
 from data_gen.cats import cats, left_right_flip, rest_mesh
 from data_gen.report import edge_distortion
@@ -249,4 +249,4 @@ def test_the_skin_surrounds_the_bones_and_the_vertices_lie_on_it(rest):
     inside = np.array([cone.start for cone in cat_body().cones()])
     assert (skin(inside) < 0).all()
     vertices, _, _ = rest
-    assert np.abs(skin(vertices)).max() < 1e-3 * BLEND
+    assert np.abs(skin(vertices)).max() < 1e-3 * cat_body().blend

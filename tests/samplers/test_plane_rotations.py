@@ -58,9 +58,9 @@ def test_sweep_against_its_slow_twin(n, with_prior):
     truth = data_gen.planted(6, n, data_gen.random_graph(6, 0.5, rng=0), rng=0)
     p = data_gen.perturb(truth, 0.1, 1, repeats=2)
     p = fmsync.SyncProblem(6, p.edges, p.maps, weights=np.random.default_rng(2).uniform(0.5, 2, p.n_edges))
-    start, edge, other, forward = p.incidence
+    start, _, other, _ = p.incidence
     blocks = np.empty(2 * p.n_edges * n * n)
-    plane_rotations.node_blocks(p.maps, p.weights, start, edge, forward, blocks)
+    plane_rotations.node_blocks(p.maps, p.weights, p.incidence, blocks)
     c = so.random_uniform(n, 6, rng=3)
     field = so.random_uniform(n, 6, rng=4) * 3 if with_prior else np.zeros((6, n, n))
     given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, n, n))

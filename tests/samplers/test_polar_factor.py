@@ -20,7 +20,7 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     x = np.stack([np.eye(2), turn.T])[None]
     observed = so.exp(np.array([[[0.0, -0.2], [0.2, 0.0]]]))
-    start, edge, _, forward = fmsync.SyncProblem(2, [[0, 1]], observed).incidence
+    incidence = fmsync.SyncProblem(2, [[0, 1]], observed).incidence
     centre = so.sym(observed[0].T @ turn)
 
     t = np.linspace(-6, 6, 161) * np.sqrt(sigma2)
@@ -37,7 +37,7 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
         for t in range(count):
             polar_factor.polar_factor_step(
                 x, vectors, eigenvalues, np.array([sigma2]), np.ones(1), blocks, states, np.array([[0, 1]]), observed,
-                plane_rotations.rounds(2), t % 2, False, start, edge, forward,
+                incidence, plane_rotations.rounds(2), t % 2, False,
             )  # fmt: skip
             factors[r, t] = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
             read[r, t] = blocks[0, :4].reshape(2, 2)  # by node 0

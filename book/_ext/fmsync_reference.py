@@ -4,70 +4,37 @@ caption. What a cell prints under a label that begins with ``tab-`` is numbered 
 """
 
 import json
-import os
-import platform
 import re
 import tomllib
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 
-import yaml
 from docutils import nodes
+from fmsync_book import ROOT, cache_folder, notebook_of, pages
 from jupyter_cache import get_cache
-from myst_nb.core.read import read_myst_markdown_notebook
-from nbformat import NotebookNode
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
-from bench.provenance import machine
-
-ROOT = Path(__file__).resolve().parents[2]
 _LIBRARIES = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyvista", "pyfmaps", "jupyter-book")
 
 
-def pages(root: Path = ROOT) -> list[Path]:
-    """Executable pages of the table of contents, in its order."""
-    toc = yaml.safe_load((root / "book" / "_toc.yml").read_text(encoding="utf-8"))
-    files = [root / "book" / f"{entry['file']}.md" for part in toc["parts"] for entry in part["chapters"]]
-    return [f for f in files if "kernelspec:" in f.read_text(encoding="utf-8")[:600]]
+def table_of(lines: Callable[[str], list[str]], file: str) -> type[SphinxDirective]:
+    """A directive that stands for lines of Markdown, made from the text of a file of the project."""
 
+    class Table(SphinxDirective):
+        def run(self) -> list[nodes.Node]:
+            self.env.note_dependency(str(ROOT / file))
+            return self.parse_text_to_nodes("\n".join(lines((ROOT / file).read_text(encoding="utf-8"))))
 
-def surroundings() -> dict[str, str]:
-    """Where a page is executed; kept beside its outputs."""
-    shapes = Path(os.environ.get("FMSYNC_DATA") or os.devnull) / "tosca_cat"
-    return {
-        "machine": machine(),
-        "system": f"{platform.system()} {platform.release()}, Python {platform.python_version()}",
-        "shapes": "the TOSCA cats" if shapes.is_dir() else "the cats that come with the project",
-    }
-
-
-def notebook_of(page: Path) -> NotebookNode:
-    """The cells of a page; what the execution cache finds its outputs by."""
-    return read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
-
-
-class Status(SphinxDirective):
-    """Chapters with seconds and result, then versions, machine and shapes, as Markdown of the page."""
-
-    def run(self) -> list[nodes.Node]:
-        return self.parse_text_to_nodes("\n".join(status_table(pages(), records())))
-
-
-class Worlds(SphinxDirective):
-    """Chapters by worlds: whether every claim held, or which one failed."""
-
-    def run(self) -> list[nodes.Node]:
-        file = ROOT / "results" / "worlds.json"
-        self.env.note_dependency(str(file))
-        return self.parse_text_to_nodes("\n".join(worlds_table(json.loads(file.read_text(encoding="utf-8")))))
+    return Table
 
 
 def worlds_table(told: dict) -> list[str]:
-    """Lines of Markdown from the table that ``scripts/worlds.py`` writes.
+    """Chapters by worlds, whether every claim held or which one failed, from the table of ``scripts/worlds.py``.
 
     >>> lines = worlds_table({"worlds": ["native +7"], "machine": "m", "shapes": "s", "command": "c", "chapters":
     ...     {"05_oracle": {"closest": "a < b", "margin": 5.2, "failures": [["a < b: 3 and 2"]]}}})
@@ -100,8 +67,6 @@ def _code(text: str) -> str:
 
 def records() -> dict[Path, dict]:
     """What the execution cache knows of each page; pages that it does not hold are left out."""
-    from fmsync_book import cache_folder
-
     cache, found = get_cache(str(cache_folder())), {}
     for page in pages():
         with suppress(KeyError):
@@ -110,7 +75,7 @@ def records() -> dict[Path, dict]:
 
 
 def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
-    """Lines of Markdown from :func:`pages` and :func:`records`."""
+    """Chapters with seconds and result, then versions, machine and shapes, from :func:`pages` and :func:`records`."""
     lines = ["| chapter | seconds | CPU seconds | result |", "| --- | ---: | ---: | --- |"]
     for page in files:
         data = found.get(page, {})
@@ -125,17 +90,8 @@ def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
     return [*lines, f"- **Versions:** {', '.join(f'{library} {version(library)}' for library in _LIBRARIES)}"]
 
 
-class Licences(SphinxDirective):
-    """Packages that pyproject.toml names, by extra, with version and licence as their own metadata tells them."""
-
-    def run(self) -> list[nodes.Node]:
-        project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-        self.env.note_dependency(str(ROOT / "pyproject.toml"))
-        return self.parse_text_to_nodes("\n".join(licence_table(project)))
-
-
 def licence_table(project: dict) -> list[str]:
-    """Lines of Markdown: a row for each package, in the first extra that asks for it."""
+    """A row for each package that pyproject.toml names, in the first extra that asks for it: version and licence."""
     lines, seen = ["| package | needed by | version | licence |", "| --- | --- | --- | --- |"], {"fmsync"}
     for extra, wanted in {"core": project["dependencies"], **project["optional-dependencies"]}.items():
         for name in sorted(re.match(r"[\w.-]+", requirement)[0] for requirement in wanted):
@@ -212,9 +168,9 @@ def _fill(app, doctree, docname):
 
 
 def setup(app: Sphinx):
-    app.add_directive("fm-status", Status)
-    app.add_directive("fm-worlds", Worlds)
-    app.add_directive("fm-licences", Licences)
+    app.add_directive("fm-status", table_of(lambda contents: status_table(pages(), records()), "book/_toc.yml"))
+    app.add_directive("fm-worlds", table_of(lambda told: worlds_table(json.loads(told)), "results/worlds.json"))
+    app.add_directive("fm-licences", table_of(lambda t: licence_table(tomllib.loads(t)["project"]), "pyproject.toml"))
     app.add_directive("figures", Figures)
     app.add_node(figure_list)
     app.add_transform(Tables)
