@@ -18,7 +18,7 @@
     .panel { position: relative; min-width: 0 }
     h4 { margin: 0; font-size: .95em; font-weight: 600; text-align: center }
     h4 small { font-weight: 400; opacity: .8 }
-    canvas { display: block; width: 100%; aspect-ratio: 1.08; touch-action: pan-y; cursor: crosshair; border-radius: 8px }
+    canvas { display: block; width: 100%; aspect-ratio: 1.25; touch-action: pan-y; cursor: crosshair; border-radius: 8px }
     canvas:focus-visible { outline: 2px solid currentColor; outline-offset: -2px }
     .controls { display: flex; flex-wrap: wrap; gap: .5rem 1.1rem; align-items: center; margin: .5rem 0; font-size: .9em }
     fieldset { display: flex; flex-wrap: wrap; border: 0; margin: 0; padding: 0; min-width: 0 }
@@ -32,7 +32,7 @@
     .slider { display: flex; align-items: center; gap: .5rem } .slider[hidden] { display: none }
     .slider input { width: 6rem; min-height: 1.5rem } .slider span { min-width: 4.5em }
     .slider:has(:disabled) { opacity: .55 }
-    p { margin: .3rem 0; font-size: .95em; min-height: 1.5em }
+    p { margin: .3rem 0; font-size: .9em; min-height: 1.6em }
     .key { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; font-size: .85em; min-height: 1.4em }
     .key span { display: inline-flex; align-items: center; gap: .4em } .key [hidden] { display: none }
     .key i { flex: none; width: .75em; height: .75em; border-radius: 50%; box-sizing: border-box }
@@ -249,10 +249,10 @@
       light(target, images, state.region ? [way.centres[row], way.radius[row]] : null, to);
       const name = data.vertices[from][row], names = data.shapes.map((s) => s.name);
       const level = Math.round(100 * data.level), places = new Set(images).size;
-      const what = state.images === 1 ? "one image" : `${state.images} images at ${places} different vertices`;
+      const what = state.images === 1 ? "one image" : `${state.images} images at ${places} vertices`;
       const right = data.truth && data.shapes[from].right[row], off = images.reduce((d, v) => d + apart(target.points, v, right), 0);
       $("p").textContent = `Vertex ${name} of ${names[from]}, ${view}: ${what} on ${names[to]}` +
-        (data.truth ? `, ${short(off / images.length / data.unit)} √area off${state.images === 1 ? "" : " on average"}` : "") +
+        (data.truth ? `, ${state.images === 1 ? "" : "mean "}${short(off / images.length / data.unit)} √area off` : "") +
         (state.region ? `, radius of the ${level} % region ${short(way.radius[row] / data.unit)} √area.` : ".");
       Object.assign(figure.dataset, { fm: "ready", from, vertex: name, places, view: state.view, noise: state.noise,
         temperature: state.temperature, image: images[0] });
