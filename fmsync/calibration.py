@@ -32,7 +32,8 @@ def uniformity(ranks: np.ndarray, n_draws: int, bins: int = 10) -> float:
     Bins expect as many as their share of the ``n_draws + 1`` possible ranks.
     """
     if len(ranks) < 5 * bins or ranks.min() < 0 or ranks.max() > 1:
-        raise ValueError(f"ranks: expected at least {5 * bins} shares from 0 to 1 for {bins} bins, got {ranks}")
+        told = f"{len(ranks)} from {min(ranks, default=0)} to {max(ranks, default=1)}"
+        raise ValueError(f"ranks: expected at least {5 * bins} shares from 0 to 1 for {bins} bins, got {told}")
     possible = np.arange(n_draws + 1) * bins // (n_draws + 1)  # bin of every rank
     expected = np.bincount(possible, minlength=bins) * len(ranks) / (n_draws + 1)
     observed = np.bincount(possible[np.rint(ranks * n_draws).astype(int)], minlength=bins)

@@ -29,10 +29,7 @@ from fmsync.samplers.random_streams import LANES, fill, uniform
 def jump(
     x: np.ndarray,
     maps: np.ndarray,
-    start: np.ndarray,
-    edge: np.ndarray,
-    other: np.ndarray,
-    forward: np.ndarray,
+    incidence: tuple[np.ndarray, ...],
     field: np.ndarray,
     exponent: np.ndarray,
     prior: np.ndarray,
@@ -41,9 +38,9 @@ def jump(
     r"""One jump of every map of every chain from what one of its neighbours says to what another says.
 
     Transposed maps x (K, N, n, n) change in place; ``exponent`` (K, 2) are κ and log c_n(κ), ``prior`` (K,) is logit p,
-    the rest as for :func:`~fmsync.samplers.plane_rotations.sweep`.
+    ``incidence`` the problem's, the rest as for :func:`~fmsync.samplers.plane_rotations.sweep`.
     """
-    n = x.shape[-1]
+    (start, edge, other, forward), n = incidence, x.shape[-1]
     for k in range(len(x)):
         for i in range(x.shape[1]):
             degree = start[i + 1] - start[i]
@@ -85,15 +82,14 @@ class Inliers:
         self._numbers = np.empty((-(-(p.n_edges + 1) // LANES), LANES))
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
-        """Indicators, p and κ in turn given the transposed maps x (K, N, n, n), then the blocks of the inliers.
+        """A jump of the transposed maps x (K, N, n, n), in place; indicators, p and κ in turn; the blocks of the inliers.
 
         ``powers`` (K,) multiply the log-likelihood of the inliers.
         """
         p = self._problem
-        start, edge, other, forward = p.incidence
         if infer:
             exponent = powers[:, None] * np.stack([self.kappa, self._concentration.log_normaliser()], axis=1)
-            jump(x, p.maps, start, edge, other, forward, self._field, exponent, logit(self._share), states)
+            jump(x, p.maps, p.incidence, self._field, exponent, logit(self._share), states)
         traces = self._traces(x)
         chances = self._chances(self._gains(traces) * powers[:, None])
         for k in range(len(x) if infer else 0):

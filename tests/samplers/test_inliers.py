@@ -74,7 +74,7 @@ def test_a_jump_against_its_twin():
         states = generators(rng, 3)
         twin = [jumped(*one) for one in zip(c.copy(), [p] * 3, [field] * 3, exponent, prior, states.copy())]
         x = np.ascontiguousarray(so.transpose(c))
-        jump(x, p.maps, *p.incidence, field, exponent, prior, states)
+        jump(x, p.maps, p.incidence, field, exponent, prior, states)
         np.testing.assert_allclose(so.transpose(x), twin, atol=1e-12)
         assert (np.abs(x - so.transpose(c)).max(axis=(2, 3)) > 1e-3).sum() > 5  # some maps jumped
 
