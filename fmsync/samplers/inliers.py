@@ -82,7 +82,7 @@ class Inliers:
         self._numbers = np.empty((-(-(p.n_edges + 1) // LANES), LANES))
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
-        """A jump of the transposed maps x (K, N, n, n), in place; indicators, p and κ in turn; the blocks of the inliers.
+        """A jump of the transposed maps x (K, N, n, n), in place; then indicators, p and κ, and the blocks of inliers.
 
         ``powers`` (K,) multiply the log-likelihood of the inliers.
         """
