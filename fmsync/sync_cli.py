@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         folder = work / "output"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        write_all(synced, folder, options.level, calibration, progress=progress)
+        write_all(synced, folder, options.level, calibration, options.jobs, progress)
         _publish(work, options.output)
     said = list(dict.fromkeys([*quality_flags(synced), *caught]))
     for line in said:

@@ -120,11 +120,11 @@ def has_continuous_symmetry(shape: SampledShape) -> bool:
 
 
 def samples_to_vertices(first: SampledShape, values: np.ndarray) -> np.ndarray:
-    """Values (S,) at samples carried to all vertices (V,) by the three nearest samples."""
+    """Values (S, ...) at samples carried to all vertices (V, ...) by the three nearest samples."""
     points = first.shape.vertices
     distance, nearest = cKDTree(points[first.samples]).query(points, k=min(3, len(first.samples)))
     weights = 1 / np.maximum(distance, 1e-9)
-    return (weights * values[nearest]).sum(axis=1) / weights.sum(axis=1)
+    return np.einsum("vk,vk...->v...", weights / weights.sum(axis=1, keepdims=True), values[nearest])
 
 
 def local_distortion(first: SampledShape, images: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from fmsync.estimators import Estimate
@@ -23,6 +24,7 @@ from fmsync.matching.transferred import transfer, transfer_landmarks
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
+from fmsync.threads import single_threaded_blas
 
 _OF_SHAPES = ("vertices", "faces", "eigenvalues", "eigenfunctions", "mass")
 
@@ -30,22 +32,32 @@ _README = Path(__file__).with_name("readme.txt")
 
 
 def write_all(
-    synced: SyncedShapes, folder: Path, level: float, calibration: ConformalCalibration, progress: bool = False
+    synced: SyncedShapes,
+    folder: Path,
+    level: float,
+    calibration: ConformalCalibration,
+    jobs: int = 1,
+    progress: bool = False,
 ) -> None:
     """Write every file into an empty folder; scalars on meshes are those of the maps to the first shape."""
     reference, names = 0, synced.names
     for part in ("point_maps", "meshes"):
         (folder / part).mkdir()
-    pairs = list(itertools.permutations(range(len(names)), 2))
-    known, tables = {}, {}
-    for i, j in tqdm(pairs, "point maps", disable=not progress):
-        known[i, j] = synced.confidence(i, j, level)
-        table = _vertex_table(synced, i, j, known[i, j], calibration)
-        if j == reference:
-            tables[i] = table
+
+    def write_pair(i: int, j: int) -> tuple[Confidence, pd.DataFrame | None]:
+        known = synced.confidence(i, j, level)
+        table = _vertex_table(synced, i, j, known, calibration)
         stem = folder / "point_maps" / f"{names[i]}_to_{names[j]}"
         np.save(f"{stem}.npy", table["image"].to_numpy(np.int32))
         table.to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
+        return known, table if j == reference else None
+
+    pairs = list(itertools.permutations(range(len(names)), 2))
+    with single_threaded_blas():
+        run = Parallel(jobs, "threading", return_as="generator")(delayed(write_pair)(i, j) for i, j in pairs)
+        written = dict(zip(pairs, tqdm(run, "point maps", len(pairs), disable=not progress)))
+    known = {pair: confidence for pair, (confidence, _) in written.items()}
+    tables = {i: table for (i, _), (_, table) in written.items() if table is not None}
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
     np.savez_compressed(folder / "maps.npz", **_packed(synced))
@@ -142,7 +154,8 @@ def _vertex_table(
     at_samples = {"region": calibration.radius(known), "expected": calibration.expected(known)}
     at_samples |= {name: getattr(known, name) for name in ("radius", "spread", "entropy")}
     at_samples["two_modes"] = known.two_modes.astype(float)
-    everywhere = {name: samples_to_vertices(synced.shapes[i], values) for name, values in at_samples.items()}
+    values = samples_to_vertices(synced.shapes[i], np.column_stack(list(at_samples.values())))
+    everywhere = dict(zip(at_samples, values.T))
     everywhere["two_modes"] = everywhere["two_modes"] > 0.5
     return pd.DataFrame({"image": synced.point_map(i, j)} | everywhere)
 

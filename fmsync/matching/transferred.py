@@ -70,8 +70,7 @@ def transfer(
             found.append(Transferred(functions, np.zeros(functions.shape), labels))
             continue
         at_samples = image_probabilities(synced, j, i, calibration or default_calibration()) @ moments
-        everywhere = np.column_stack([samples_to_vertices(other, column) for column in at_samples.T])
-        mean, square = np.split(everywhere, 2, axis=1)
+        mean, square = np.split(samples_to_vertices(other, at_samples), 2, axis=1)
         found.append(Transferred(mean, np.sqrt(np.maximum(square - mean**2, 0)), labels))
     return found
 
