@@ -74,7 +74,7 @@ def test_geodesic_energy_on_the_circle():
     """On SO(2) the angle is normal, cut at π: U = 2θ², p ∝ exp(-2 β θ²)."""
     beta = 0.2
     post = fmsync.sample(
-        one_edge(2), "hmc", energy="geodesic", beta=beta, n_chains=64, n_draws=500, warmup=100, init="random", rng=6
+        one_edge(2), "hmc", energy="geodesic", beta=beta, n_chains=64, n_draws=800, warmup=100, init="random", rng=6
     )
     grid = np.linspace(-np.pi, np.pi, 20_001)
     weight = np.exp(-2 * beta * grid**2)
@@ -89,7 +89,7 @@ def test_geodesic_energy_on_rotations_of_space(method, integrator):
     """On SO(3) the angle has density (1 - cos θ) exp(-2 β θ²) on [0, π]; the cut locus is often met."""
     beta, thin = 0.2, 6 if method == "mala" else 1
     post = fmsync.sample(
-        one_edge(3), method, energy="geodesic", beta=beta, integrator=integrator, n_chains=64, n_draws=150,
+        one_edge(3), method, energy="geodesic", beta=beta, integrator=integrator, n_chains=64, n_draws=300,
         warmup=150, thin=thin, init="random", rng=7,
     )  # fmt: skip
     angle = np.linspace(0, np.pi, 20_001)

@@ -30,12 +30,17 @@ def said(monkeypatch):
 
 @pytest.mark.parametrize("method", ["heat-bath", "rlfm", pytest.param("hmc", marks=pytest.mark.slow), "mala"])
 def test_the_second_mode_of_a_ring_is_named(said, method):
-    """Four chains from the spectral estimate sit in one of two equal modes, where a pilot ends one time in two."""
+    """Four chains from the spectral estimate sit in one of two equal modes, where a pilot ends one time in two.
+
+    A chain may also cross while it warms up: then it is said that the chains themselves lie apart.
+    """
     run = {"kappa": 12.0, "n_draws": 250, "warmup": 250}
     messages = [said(twisted_ring(2, n_nodes=9), method, rng=seed, **run) for seed in range(12)]
     assert sum(map(len, messages)) >= 10
-    assert all("settled in another mode" in message for one in messages for message in one)
-    assert all("use method='tempered'" in message for one in messages for message in one)
+    told = [message for one in messages for message in one]
+    assert sum("settled in another mode" in message for message in told) >= 9
+    assert all("another mode" in message for message in told)
+    assert all("use method='tempered'" in message for message in told)
 
 
 def test_what_is_advised_works(said):

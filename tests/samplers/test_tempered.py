@@ -31,8 +31,10 @@ def turns_left(post):
 @pytest.mark.parametrize(("n", "base"), [(2, "heat-bath"), (3, "heat-bath"), (2, "hmc"), (2, "mala")])
 def test_the_modes_are_crossed(n, base):
     p = twisted_ring(n)
-    thin = 8 if base == "mala" else 2
-    post = fmsync.sample(p, "tempered", base=base, kappa=KAPPA, n_chains=8, n_draws=500, warmup=400, thin=thin, rng=0)
+    thin, n_draws = (8, 1000) if base == "mala" else (2, 500)
+    post = fmsync.sample(
+        p, "tempered", base=base, kappa=KAPPA, n_chains=8, n_draws=n_draws, warmup=400, thin=thin, rng=0
+    )
     share, error = mean_and_error(turns_left(post))
     assert abs(share - 0.5) < 4 * error
     assert error < 0.1
