@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.optimize import brentq
 from scipy.sparse.linalg import SuperLU, splu
 
 from fmsync import checks, so
@@ -157,14 +158,9 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, den
     True
     """
     target = recovery_cosine(n_nodes, observations_per_pair * density * n_nodes * (n_nodes - 1) / 2)
-    low, high = 0.0, 100.0
 
-    def cosine(sigma2: float) -> float:
-        return projected_noise_moments(n, sigma2, n_samples=500)[0] / n  # the same sample each time: monotone enough
+    def above(log_sigma2: float) -> float:  # the same sample each time: monotone enough
+        return projected_noise_moments(n, float(np.exp(log_sigma2)), n_samples=500)[0] / n - target
 
-    if cosine(high) > target:
-        return float("inf")
-    while high - low > 5e-3 * high:
-        middle = (low + high) / 2
-        low, high = (middle, high) if cosine(middle) > target else (low, middle)
-    return (low + high) / 2
+    low, high = np.log([1e-4, 100.0])
+    return float("inf") if above(high) > 0 else float(np.exp(brentq(above, low, high, xtol=2e-3)))

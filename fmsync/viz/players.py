@@ -128,7 +128,7 @@ def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Pla
 
 
 @checked(points="T 3")
-def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 30) -> Player:
+def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
     """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 
     For a chain of rotations of space, give the places to which they turn one vector, e.g. ``rotations[:, :, 2]``.
