@@ -503,6 +503,26 @@ def test_shapes_stand_one_above_the_other_on_a_phone(opened):
         assert colours[0] > 1.5 * colours[1]  # images all over the body above, a single spot below
 
 
+@pytest.mark.parametrize("alive", [True, False])
+def test_titles_stand_over_their_shapes_on_a_desktop(opened, alive):
+    """Two rows of two: read along the rows in the still picture and in the viewer alike."""
+    if not can_render():
+        _absent("no OpenGL here, so the book has still pictures: apt-get install libegl1 libgl1")
+    opened.page.route("**/mathjax/*", lambda route: route.fulfill(body=""))
+    page = opened("chapters/06_uncertainty.html", SMALL, "light", alive=alive)
+    stage = page.locator(".fm-stage").first
+    stage.scroll_into_view_if_needed()
+    if alive:
+        stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
+    titles = stage.locator(".fm-titles span")
+    _, hot, inferred, _ = (titles.nth(k).bounding_box() for k in range(4))
+    assert ["β = 1" in text for text in titles.all_inner_texts()] == [False, True, False, False]
+    assert hot["x"] > inferred["x"] and hot["y"] < inferred["y"]
+    top, bottom = np.array_split(_settled(page, stage), 2)
+    middle = top.shape[1] // 2
+    assert np.ptp(top[:, middle:], axis=2).mean() > 2 * np.ptp(bottom[:, :middle], axis=2).mean()  # all over the body
+
+
 def drag(page, element) -> None:
     """Pull the mouse across an element, as a reader turns a scene."""
     box = element.bounding_box()

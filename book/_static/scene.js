@@ -12,7 +12,7 @@
     const { rows, columns } = stage.dataset, [width, height] = ["width", "height"].map((a) => image.getAttribute(a));
     const shape = (width * rows) / (height * columns); // of a panel
     const across = !phone.matches ? +columns : panels.length > 4 ? 2 : 1;
-    const down = phone.matches ? Math.ceil(panels.length / across) : +rows, turned = across === 2 && rows === "2";
+    const down = phone.matches ? Math.ceil(panels.length / across) : +rows, turned = phone.matches && across === 2 && rows === "2";
     const still = phone.matches && !stage.querySelector(".fm-drawn");
     image.style.visibility = phone.matches ? "hidden" : "";
     stage.style.aspectRatio = `${shape * across} / ${down}`;
