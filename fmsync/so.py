@@ -114,12 +114,20 @@ def log(r: np.ndarray) -> np.ndarray:
     r = np.asarray(r, dtype=float)
     n = r.shape[-1]
     flat = r.reshape(-1, n, n)
-    omega, near = np.empty(flat.shape), np.empty(len(flat), bool)
+    omega, near = np.empty(flat.shape), np.zeros(len(flat), bool)
     for first in range(0, len(flat), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
+        part = np.arange(first, min(first + _AT_ONCE, len(flat)))
+        part = part[_may_be_near(flat[part])]
         omega[part], near[part] = _log_series(flat[part])
     omega[~near] = log_eigen_unchecked(flat[~near])
     return omega.reshape(r.shape)
+
+
+def _may_be_near(r: np.ndarray) -> np.ndarray:
+    r"""(B,) false where :math:`\lVert X^2\rVert_F^2 / \sqrt n`, at most :math:`\lVert X^4\rVert_F`, says it is too far."""
+    x = np.eye(r.shape[-1]) - sym(r)
+    square = x @ x / 4  # symmetric, (B, n, n)
+    return np.einsum("bij,bij->b", square, square) < r.shape[-1] ** 0.5 * _SERIES_REACH**4
 
 
 def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -517,7 +517,8 @@ def test_titles_stand_over_their_shapes_on_a_desktop(opened, alive):
     titles = stage.locator(".fm-titles span")
     _, hot, inferred, _ = (titles.nth(k).bounding_box() for k in range(4))
     assert ["β = 1" in text for text in titles.all_inner_texts()] == [False, True, False, False]
-    assert hot["x"] > inferred["x"] and hot["y"] < inferred["y"]
+    assert hot["x"] > inferred["x"]
+    assert hot["y"] < inferred["y"]
     top, bottom = np.array_split(_settled(page, stage), 2)
     middle = top.shape[1] // 2
     assert np.ptp(top[:, middle:], axis=2).mean() > 2 * np.ptp(bottom[:, :middle], axis=2).mean()  # all over the body
