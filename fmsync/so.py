@@ -124,7 +124,7 @@ def log(r: np.ndarray) -> np.ndarray:
 
 
 def _may_be_near(r: np.ndarray) -> np.ndarray:
-    r"""(B,) no where :math:`\lVert X^2\rVert_F^2 / \sqrt n`, at most :math:`\lVert X^4\rVert_F`, is already too much."""
+    r"""(B,) no where :math:`\lVert X^2\rVert_F^2 / \sqrt n`, at most :math:`\lVert X^4\rVert_F`, is too much."""
     x = np.eye(r.shape[-1]) - sym(r)
     square = x @ x / 4  # symmetric, (B, n, n)
     return np.einsum("bij,bij->b", square, square) < r.shape[-1] ** 0.5 * _SERIES_REACH**4
