@@ -7,6 +7,7 @@ import numpy as np
 
 from fmsync import adapters, checks, so
 from fmsync.diagnostics import Draws, Summary, summary
+from fmsync.problem import SyncProblem
 from fmsync.problem import relative_maps_unchecked as relative_maps
 
 
@@ -79,8 +80,13 @@ class Posterior(Draws):
         return summary(self)
 
     def to_arviz(self, edges: np.ndarray | None = None) -> Any:
-        """The same scalars as an object of ArviZ (:func:`fmsync.adapters.to_arviz`)."""
+        """The same scalars, and the draws, as an object of ArviZ (:func:`fmsync.adapters.to_arviz`)."""
         return adapters.to_arviz(self, edges)
+
+    @classmethod
+    def from_arviz(cls, data: Any, problem: SyncProblem) -> "Posterior":
+        """The posterior that :meth:`to_arviz` was of, less ``edge_weights`` (:func:`fmsync.adapters.from_arviz`)."""
+        return cls(**vars(adapters.from_arviz(data, problem)))
 
     def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
         """(chains * draws,) distance of every draw of one relative map to the mean of the others."""
