@@ -50,7 +50,7 @@ def to_arviz(post: Draws, edges: np.ndarray | None = None) -> Any:
     return require("arviz_base", "adapters").from_dict(groups, **named, attrs={"maps": attrs})
 
 
-def from_arviz(data: Any, problem: SyncProblem) -> Draws:
+def from_arviz(data: Mapping[str, Any], problem: SyncProblem) -> Draws:
     """The draws in an object of :func:`to_arviz`; :meth:`fmsync.Posterior.from_arviz` makes a posterior of them.
 
     Draws of another sampler need a group ``maps`` with rotations ``absolute`` (chain, draw, N, n, n), ``energy`` and

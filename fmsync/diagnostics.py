@@ -30,11 +30,7 @@ class Draws:
 
 
 class ConvergenceWarning(UserWarning):
-    """The chains disagree, or hold too few independent draws; the message says ``what`` is wrong and what to do."""
-
-    def __init__(self, what: str, todo: str = ""):
-        super().__init__(f"{what}; {todo}" if todo else what)
-        self.what = what
+    """The chains disagree, or hold too few independent draws; the message says what is wrong and what to do."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -199,7 +195,7 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
         better = ", or use heat-bath where the energy is Euclidean" * (method != "heat-bath")
         todos.append(f"raise n_draws (--draws) or thin{better}")
     if complaints:
-        warnings.warn(ConvergenceWarning("; ".join(complaints), "; ".join(todos)), stacklevel=5)
+        warnings.warn("; ".join(complaints + todos), ConvergenceWarning, stacklevel=5)
 
 
 def _varies(values: np.ndarray) -> bool:

@@ -1,5 +1,6 @@
 """What :func:`fmsync.sample` returns: draws, and the answers read off them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +20,12 @@ class Posterior(Draws):
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
     ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
-    posterior inlier probabilities of the observations under the mixture likelihood, None for the others.
+    posterior inlier probabilities of the observations under the mixture likelihood, None for the others. ``modes`` says
+    that chains lie in different modes or that pilots found another one, as :func:`fmsync.sample` warns; or it is empty.
     """
 
     edge_weights: np.ndarray | None = None
+    modes: str = ""
 
     @property
     def n_chains(self) -> int:
@@ -84,8 +87,9 @@ class Posterior(Draws):
         return adapters.to_arviz(self, edges)
 
     @classmethod
-    def from_arviz(cls, data: Any, problem: SyncProblem) -> "Posterior":
-        """The posterior that :meth:`to_arviz` was of, less ``edge_weights`` (:func:`fmsync.adapters.from_arviz`)."""
+    @checks.checked()
+    def from_arviz(cls, data: Mapping[str, Any], problem: SyncProblem) -> "Posterior":
+        """What :meth:`to_arviz` gave away, less ``edge_weights`` and ``modes`` (:func:`fmsync.adapters.from_arviz`)."""
         return cls(**vars(adapters.from_arviz(data, problem)))
 
     def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
