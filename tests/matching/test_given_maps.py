@@ -176,6 +176,8 @@ def test_a_wrong_direction_is_said(shapes, rough, truth):
     maps[0, 1] = {"zoomout.npy": as_soft(truth[1, 0])}
     with pytest.raises(ValueError, match=r"^zoomout.npy, maps\[1, 3\] \(cat1 to cat3\): keeps"):
         synced_from(shapes, maps)
+    with pytest.raises(ValueError, match=r"^maps\[0, 1\] \(cat0 to cat1\), .*, maps\[0, 3\] .* and 7 more: keeps"):
+        synced_from(shapes, {(i, j): truth[j, i] for i, j in PAIRS})
 
 
 def test_a_wrong_direction_of_rectangular_maps_is_said(shapes, bases, truth):
