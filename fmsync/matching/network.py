@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import so
-from fmsync.diagnostics import ConvergenceWarning, ess, rhat, short_run
+from fmsync.diagnostics import LARGEST_RHAT, LEAST_ESS, ConvergenceWarning, ess, rhat, short_run
 from fmsync.estimators import Estimate, solve
 from fmsync.matching.pairwise import PairMatch
 from fmsync.problem import SyncProblem
@@ -17,7 +17,6 @@ from fmsync.samplers import Posterior, sample
 
 _MORE_DRAWS = "ask for more draws (n_draws, --draws)"
 _MORE_PAIRS = {True: "give maps of more pairs", False: "use a graph with more pairs (graph, --graph)"}  # maps given?
-_RHAT, _ESS = 1.01, 400
 
 
 def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
@@ -125,11 +124,11 @@ def doubts_of_draws(posterior: Posterior, given: bool) -> list[str]:
         said.append(f"{text}{todo}.")
     if not np.isfinite(apart):
         said.append(f"There are too few posterior draws to tell whether the chains agree: {_MORE_DRAWS}.")
-    elif apart > _RHAT:
-        text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
+    elif apart > LARGEST_RHAT:
+        text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {LARGEST_RHAT}): "
         said.append(text + f"do not rely on the regions; {_MORE_DRAWS}, doubt the maps if it stays.")
-    if np.isfinite(effective) and effective < _ESS:
-        text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} effective draws "
+    if np.isfinite(effective) and effective < LEAST_ESS:
+        text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {LEAST_ESS} effective draws "
         said.append(text + f"are wanted): the regions are rough; {_MORE_DRAWS}.")
     return said
 
