@@ -1,10 +1,12 @@
 r"""Ours to and from the objects of other libraries: ArviZ, pyFM, geomstats, pymanopt, NetworkX, pandas, and meshes.
 
-Each library is imported when its function is called. What is converted is copied, except by :func:`to_pymanopt`, and
-vertices keep their order, because maps refer to it: a mesh that :class:`fmsync.Shape` refuses is not repaired.
+Each library is imported when its function is called. What is converted is copied, but not the draws, nor the problem
+of :func:`to_pymanopt`. Vertices keep their order, because maps refer to it: a mesh that :class:`fmsync.Shape` refuses
+is not repaired.
 """
 
 import importlib
+import json
 import os
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -28,7 +30,8 @@ def to_arviz(post: Draws, edges: np.ndarray | None = None) -> Any:
 
     The group ``posterior`` holds the numbers of :func:`fmsync.diagnostics.scalars` for the pairs ``edges`` (E, 2):
     ``energy`` and, where it was inferred, ``log_kappa`` (chain, draw); ``trace`` and ``first_entry`` of the relative
-    maps (chain, draw, pair). Tail ESS is that of :func:`fmsync.diagnostics.summary` with ``prob=(0.05, 0.95)``.
+    maps (chain, draw, pair). Tail ESS is that of :func:`fmsync.diagnostics.summary` with ``prob=(0.05, 0.95)``. The
+    group ``maps`` holds the draws, ``absolute`` (chain, draw, N, n, n), which :func:`from_arviz` reads.
     """
     values = scalars(post, edges)
     pairs = [name[5:-1] for name in values if name.startswith("tr ")]
@@ -36,9 +39,33 @@ def to_arviz(post: Draws, edges: np.ndarray | None = None) -> Any:
     chosen["trace"] = np.stack([values[f"tr C[{pair}]"] for pair in pairs], axis=-1)
     chosen["first_entry"] = np.stack([values[f"C[{pair}][0,0]"] for pair in pairs], axis=-1)
     named = {"coords": {"pair": pairs}, "dims": {"trace": ["pair"], "first_entry": ["pair"]}}
+    kept = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa}
+    attrs = {"method": post.method, "settings": json.dumps(dict(post.settings))}
     if find_spec("arviz_base") is None and find_spec("arviz") is not None:
-        return importlib.import_module("arviz").from_dict(posterior=chosen, **named)
-    return require("arviz_base", "adapters").from_dict({"posterior": chosen}, **named)
+        az = importlib.import_module("arviz")
+        data = az.from_dict(posterior=chosen, **named)
+        data.add_groups(maps=az.dict_to_dataset(kept, attrs=attrs))
+        return data
+    groups = {"posterior": chosen, "maps": kept}
+    return require("arviz_base", "adapters").from_dict(groups, **named, attrs={"maps": attrs})
+
+
+def from_arviz(data: Mapping[str, Any], problem: SyncProblem) -> Draws:
+    """The draws in an object of :func:`to_arviz`; :meth:`fmsync.Posterior.from_arviz` makes a posterior of them.
+
+    Draws of another sampler need a group ``maps`` with rotations ``absolute`` (chain, draw, N, n, n), ``energy`` and
+    ``kappa`` (chain, draw). A ValueError says what is missing or does not fit ``problem``.
+    """
+    group: Any = data.get("maps", {})
+    if missing := [name for name in ("absolute", "energy", "kappa") if name not in group]:
+        raise ValueError(f"data: its group 'maps' has no {', '.join(missing)}; to_arviz writes them")
+    absolute, energy, kappa = (np.array(group[name], dtype=float) for name in ("absolute", "energy", "kappa"))
+    if absolute.shape != (*energy.shape, problem.n_nodes, problem.n, problem.n):
+        expected = f"(chain, draw, {problem.n_nodes}, {problem.n}, {problem.n})"
+        raise ValueError(f"data: absolute is {absolute.shape}, expected {expected}; give the problem that was sampled")
+    checks.rotations("data", absolute, "absolute map")
+    settings = json.loads(group.attrs.get("settings", "{}"))
+    return Draws(problem, group.attrs.get("method", "ArviZ"), absolute, energy, kappa, False, settings)
 
 
 def to_pyfm(shape: Shape, basis: Basis | None = None) -> Any:
@@ -129,6 +156,16 @@ def to_pymanopt(problem: SyncProblem) -> Any:
     )
 
 
+def from_pymanopt(point: Any, problem: SyncProblem) -> Estimate:
+    """The estimate of a point (N, n, n) of the manifold of :func:`to_pymanopt`, such as ``result.point`` of a solver.
+
+    Then :func:`fmsync.certify` can say whether it is the best one. A ValueError names a matrix that is no rotation.
+    """
+    rotations = np.array(point, dtype=float)
+    checks.rotations("point", rotations)
+    return Estimate.from_absolute(problem, rotations, "pymanopt")
+
+
 def to_networkx(problem: SyncProblem) -> nx.MultiDiGraph:
     """Nodes 0..N-1 and an edge i → j with ``map`` (n, n) and ``weight`` for every observation of C_ij."""
     graph = nx.MultiDiGraph()
@@ -172,6 +209,21 @@ def to_pandas(problem: SyncProblem, estimate: Estimate | None = None) -> Any:
         if estimate.edge_weights is not None:
             columns["inlier_weight"] = estimate.edge_weights
     return require("pandas", "shapes").DataFrame(columns)
+
+
+def from_pandas(table: Any) -> SyncProblem:
+    """The problem of a table with a row for each map: ``i`` and ``j`` from zero, ``map`` (n, n), ``weight`` if not one.
+
+    For the rows of :func:`to_pandas` ``map`` is ``list(problem.maps)``. A ValueError names a column that is missing.
+
+    >>> import pandas as pd
+    >>> from_pandas(pd.DataFrame({"i": [0, 1], "j": [1, 2], "map": [np.eye(3), np.eye(3)]})).n_nodes
+    3
+    """
+    if missing := [name for name in ("i", "j", "map") if name not in table]:
+        raise ValueError(f"table: no column {', '.join(missing)}; it has {', '.join(map(str, table))}")
+    edges = table[["i", "j"]].to_numpy()
+    return SyncProblem(edges.max() + 1, edges, np.stack(list(table["map"])), table.get("weight"))
 
 
 def to_pyvista(shape: Shape) -> Any:

@@ -86,7 +86,7 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
         convert = next((_CONVERTED[kind](origins[kind], rule) for kind in _CONVERTED if kind in origins), None)
     if {Any, object, inspect.Parameter.empty} & kinds:
         return lambda name, value, sizes: _with_sizes(value, sizes)
-    expected = " or ".join(getattr(kind, "__name__", str(kind)) for kind in classes)
+    expected = " or ".join(kind.__name__ for kind in classes if kind is not types.NoneType)
 
     def test(name: str, value: Any, sizes: Sizes) -> Any:
         if isinstance(value, classes):

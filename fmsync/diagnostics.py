@@ -13,7 +13,7 @@ from fmsync import checks
 from fmsync.problem import SyncProblem
 
 _MAX_PAIRS = 10
-_LARGEST_RHAT, _LEAST_ESS = 1.01, 400
+LARGEST_RHAT, LEAST_ESS = 1.01, 400  # otherwise chains are warned of
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,7 @@ class Draws:
 
 
 class ConvergenceWarning(UserWarning):
-    """The chains disagree, or hold too few independent draws; the message says ``what`` is wrong and what to do."""
-
-    def __init__(self, what: str, todo: str = ""):
-        super().__init__(f"{what}; {todo}" if todo else what)
-        self.what = what
+    """The chains disagree, or hold too few independent draws; the message says what is wrong and what to do."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,17 +185,17 @@ def _watched(post: Draws) -> dict[str, np.ndarray]:
 
 def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.ndarray) -> None:
     complaints, todos = [], []
-    if (r_hat > _LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
+    if (r_hat > LARGEST_RHAT).any():  # NaN, of scalars that do not vary, compares false
         worst = int(np.nanargmax(r_hat))
-        complaints.append(f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {_LARGEST_RHAT}: the chains disagree")
+        complaints.append(f"R-hat of {names[worst]} is {r_hat[worst]:.3f} > {LARGEST_RHAT}: the chains disagree")
         todos.append("lengthen warmup, or try method='tempered' if it stays")
-    if (effective < _LEAST_ESS).any():
+    if (effective < LEAST_ESS).any():
         worst = int(np.nanargmin(effective))
-        complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {_LEAST_ESS})")
+        complaints.append(f"only {effective[worst]:.0f} effective draws of {names[worst]} (want {LEAST_ESS})")
         better = ", or use heat-bath where the energy is Euclidean" * (method != "heat-bath")
         todos.append(f"raise n_draws (--draws) or thin{better}")
     if complaints:
-        warnings.warn(ConvergenceWarning("; ".join(complaints), "; ".join(todos)), stacklevel=5)
+        warnings.warn("; ".join(complaints + todos), ConvergenceWarning, stacklevel=5)
 
 
 def _varies(values: np.ndarray) -> bool:

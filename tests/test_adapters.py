@@ -1,7 +1,5 @@
 """What goes to another library comes back the same, and that library sees in it what we do."""
 
-import importlib.util
-
 import networkx as nx
 import numpy as np
 import pytest
@@ -61,10 +59,22 @@ def test_arviz_shows_the_pairs_that_are_asked_for_and_no_fixed_kappa(problem):
     np.testing.assert_allclose(group["trace"].sel(pair="3,0"), trace, atol=1e-12)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("arviz") is None, reason="ArviZ before 1.0 is not installed")
-def test_inference_data_where_there_is_no_data_tree(post, monkeypatch):
-    monkeypatch.setattr(adapters, "find_spec", lambda name: None if name == "arviz_base" else True)
-    assert post.to_arviz().posterior["trace"].shape == (3, 60, 10)
+def test_draws_come_back_from_arviz(post, problem):
+    pytest.importorskip("arviz_base")
+    tree = post.to_arviz().copy(deep=True)
+    back = fmsync.Posterior.from_arviz(tree, problem)
+    for name in ("absolute", "energy", "kappa"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(post, name))
+    assert (back.method, back.settings) == (post.method, post.settings)
+    with diagnostics.short_run():
+        assert str(back.summary()) == str(post.summary())
+    with pytest.raises(ValueError, match=r"absolute is \(3, 60, 5, 4, 4\), expected \(chain, draw, 2, 3, 3\)"):
+        adapters.from_arviz(tree, fmsync.SyncProblem(2, [[0, 1]], np.eye(3)[None]))
+    tree["maps"]["absolute"][1, 2, 3] *= 2
+    with pytest.raises(ValueError, match="data: absolute map 313 is not a rotation"):
+        adapters.from_arviz(tree, problem)
+    with pytest.raises(ValueError, match="its group 'maps' has no absolute, energy, kappa; to_arviz writes them"):
+        adapters.from_arviz({"posterior": tree["posterior"]}, problem)
 
 
 def test_pyfm_measures_our_map_and_gives_it_back(mesh):
@@ -132,6 +142,11 @@ def test_pymanopt_minimises_our_energy(problem):
     start = fmsync.solve(problem, "spectral").absolute
     found = optimizers.TrustRegions(verbosity=0).run(theirs, initial_point=start)
     assert found.cost == pytest.approx(fmsync.solve(problem).cost, rel=1e-8)
+    back = adapters.from_pymanopt(found.point, problem)
+    np.testing.assert_allclose(back.relative(), fmsync.solve(problem).relative(), atol=1e-4)
+    assert fmsync.certify(problem, back).certified
+    with pytest.raises(ValueError, match="point: node 2 is not a rotation"):
+        adapters.from_pymanopt(found.point * np.array([1, 1, 2, 1, 1])[:, None, None], problem)
 
 
 def test_networkx_carries_repeated_weighted_maps_both_ways():
@@ -159,6 +174,17 @@ def test_the_table_of_edges_tells_which_map_is_bad(problem):
     assert list(table) == ["i", "j", "weight", "orthogonality_error", "residual", "inlier_weight"]
     assert table["residual"].idxmax() == table["inlier_weight"].idxmin() == 3
     assert list(adapters.to_pandas(wrong)) == ["i", "j", "weight", "orthogonality_error"]
+
+
+def test_a_table_of_maps_is_a_problem_again():
+    problem = fmsync.SyncProblem(3, [[2, 1], [0, 1], [0, 1]], so.random_uniform(3, 3, rng=0), [1.0, 2.0, 3.0])
+    table = adapters.to_pandas(problem).assign(map=list(problem.maps))
+    back = adapters.from_pandas(table)
+    for name in ("edges", "maps", "weights"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(problem, name))
+    assert adapters.from_pandas(table.drop(columns="weight")[:2]).weights.tolist() == [1, 1]
+    with pytest.raises(ValueError, match="table: no column map; it has i, j, weight, orthogonality_error"):
+        adapters.from_pandas(adapters.to_pandas(problem))
 
 
 @pytest.mark.parametrize("library", ["pyvista", "trimesh", "meshio"])

@@ -43,6 +43,24 @@ with open("octahedron.off", "w") as file:
 shape = data_gen.load_collection(["octahedron.off"])[0]
 assert fmsync.laplace_beltrami(shape.vertices, shape.faces, 4).n == 4
 """
+ARVIZ = """
+import arviz as az
+import fmsync, numpy as np
+from fmsync import so
+
+rng, edges = np.random.default_rng(0), [[0, 1], [1, 2], [0, 2]]
+problem = fmsync.SyncProblem(3, edges, so.random_uniform(4, 3, rng))
+maps = so.random_uniform(4, (2, 60, 3), rng)
+energy, kappa = rng.random((2, 2, 60))
+post = fmsync.Posterior(problem, "mine", maps, energy, kappa, False, {"kappa_inferred": True})
+data = post.to_arviz()
+assert type(data) is az.InferenceData
+assert data.posterior["trace"].shape == (2, 60, 3)
+assert abs(float(az.rhat(data)["log_kappa"]) / fmsync.diagnostics.rhat(np.log(post.kappa)) - 1) < 1e-10
+back = fmsync.Posterior.from_arviz(data, problem)
+assert (back.absolute == maps).all() and (back.kappa == post.kappa).all()
+assert (back.method, back.settings) == (post.method, post.settings)
+"""
 MISSING = """
 import data_gen, fmsync
 import numpy as np
@@ -140,6 +158,13 @@ def test_a_plain_installation_is_small_and_names_the_extra_that_is_missing(plain
         f"importing robust_laplacian {needs['shapes']}",
         f"importing pyvista {needs['shapes']}",
     ]
+
+
+def test_arviz_before_1_is_given_inference_data_and_gives_it_back(plain, tmp_path):
+    python = plain.folder.parent / "environment" / "bin" / "python"
+    uv("pip", "install", "--python", python, "--target", tmp_path, "-c", ROOT / "requirements.txt", "arviz<1")
+    done = plain("python", "-W", "ignore", "-c", f"import sys; sys.path.append({str(tmp_path)!r})\n{ARVIZ}")
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def requirements(extra: str | None = None) -> list[Requirement]:

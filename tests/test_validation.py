@@ -236,6 +236,7 @@ class Valid:
             "fmsync.estimators.solve.solve": {"restarts": 2},
             "fmsync.estimators.solve.mean_of_starts": {"n_starts": 2},
             "fmsync.estimators.base.Estimate.from_absolute": {"method": "SO", "group": "SO"},
+            "fmsync.samplers.posterior.Posterior.from_arviz": {"data": post.to_arviz()},
             "fmsync.samplers.base.Target": {"kappa": 2.0},
             "fmsync.samplers.rlfm.RLFM": {"rng": np.random.default_rng(0), "step": 0.01},
             "fmsync.samplers.hmc.HMC": {"rng": np.random.default_rng(0), "step": 0.01, "length": 0.1},

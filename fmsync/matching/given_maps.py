@@ -38,8 +38,6 @@ def checked_maps(
     """Every map of every pair; what does not fit the shapes is a ValueError that names the map and what to do."""
     if bases is not None:
         _check_bases(bases, shapes, n_basis)
-    if not isinstance(maps, Mapping):
-        raise ValueError("maps: give a dict {(i, j): map}")
     given, graph, numbers = [], nx.empty_graph(len(shapes)), range(len(shapes))
     for pair, value in maps.items():
         if not isinstance(pair, tuple) or len(pair) != 2 or pair[0] == pair[1] or not {*pair} <= {*numbers}:
@@ -169,7 +167,8 @@ def given_matches(
         if read[-1].distortion < _REVERSED * read[0].distortion:
             turned.append(g.name)
     if turned:
-        raise ValueError(f"{', '.join(turned)}: keeps distances far better when read in the other direction; {_TURN}")
+        names = ", ".join(turned[:3]) + f" and {len(turned) - 3} more" * (len(turned) > 3)
+        raise ValueError(f"{names}: keeps distances far better when read in the other direction; {_TURN}")
     functional = [k for k, g in enumerate(given) if isinstance(g.matrix, np.ndarray)]
     if functional and np.median([found[k].distortion for k in functional]) > _POOR:
         probes = functional[:: -(-len(functional) // _PROBES)]

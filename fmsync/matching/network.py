@@ -9,13 +9,14 @@ import numpy as np
 from tqdm import tqdm
 
 from fmsync import so
-from fmsync.diagnostics import ConvergenceWarning
+from fmsync.diagnostics import LARGEST_RHAT, LEAST_ESS, ConvergenceWarning, ess, rhat, short_run
 from fmsync.estimators import Estimate, solve
 from fmsync.matching.pairwise import PairMatch
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior, sample
 
-MORE_DRAWS = "ask for more draws (n_draws, --draws)"
+_MORE_DRAWS = "ask for more draws (n_draws, --draws)"
+_MORE_PAIRS = {True: "give maps of more pairs", False: "use a graph with more pairs (graph, --graph)"}  # maps given?
 
 
 def basis_signs(signs: np.ndarray, n: int) -> np.ndarray:
@@ -95,35 +96,48 @@ def inlier_weights(estimate: Estimate) -> np.ndarray:
 
 
 def posterior_draws(
-    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool
+    problem: SyncProblem, estimate: Estimate, n_draws: int, rng: np.random.Generator, progress: bool, given: bool
 ) -> Posterior:
     """Draws with the concentration inferred; on a tree, which does not identify it, with that of a middling noise.
 
-    What is warned of is said with what a user of the pipeline can do: they do not choose the sampler.
+    Warns with :func:`doubts_of_draws` in place of what :func:`fmsync.sample` says to those who choose the sampler.
     """
     tree = problem.n_edges < problem.n_nodes
     each = -(-n_draws // 4)
-    with tqdm(desc="posterior", total=each, disable=not progress) as bar:
+    with tqdm(desc="posterior", total=each, disable=not progress) as bar, short_run():
         steps = {"n_chains": 4, "n_draws": each, "warmup": 300, "thin": 4}
         told: dict[str, Any] = {"kappa": 20.0 if tree else "auto", "callback": lambda *_: bar.update(), **steps}
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", ConvergenceWarning)
-            posterior = sample(problem, "heat-bath", init=estimate, rng=rng, **told)
-    for w in caught:
-        what = w.message
-        if isinstance(what, ConvergenceWarning):
-            what = ConvergenceWarning(
-                what.what, f"do not rely on the regions; {MORE_DRAWS}, doubt the maps if it stays"
-            )
-        warnings.warn(what, w.category, stacklevel=6)
+        posterior = sample(problem, "heat-bath", init=estimate, rng=rng, **told)
+    for said in doubts_of_draws(posterior, given):
+        warnings.warn(said, ConvergenceWarning, stacklevel=6)
     return posterior
+
+
+def doubts_of_draws(posterior: Posterior, given: bool) -> list[str]:
+    """Sentences about draws, each with what a user of the pipeline, with maps ``given`` or without, can do."""
+    said, varying = [], [x for x in (posterior.energy, posterior.kappa) if np.ptp(x) > 0]
+    apart = max((rhat(x) for x in varying), default=np.nan)
+    effective = min((ess(x) for x in varying), default=np.nan)
+    if posterior.modes:
+        todo = _MORE_PAIRS[given] + ", or give landmarks (landmarks, --landmarks)" * (not given)
+        text = f"The maps can agree in more ways than one ({posterior.modes}): do not rely on the regions; "
+        said.append(f"{text}{todo}.")
+    if not np.isfinite(apart):
+        said.append(f"There are too few posterior draws to tell whether the chains agree: {_MORE_DRAWS}.")
+    elif apart > LARGEST_RHAT:
+        text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {LARGEST_RHAT}): "
+        said.append(text + f"do not rely on the regions; {_MORE_DRAWS}, doubt the maps if it stays.")
+    if np.isfinite(effective) and effective < LEAST_ESS:
+        text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {LEAST_ESS} effective draws "
+        said.append(text + f"are wanted): the regions are rough; {_MORE_DRAWS}.")
+    return said
 
 
 def unchecked_maps(
     problem: SyncProblem, estimate: Estimate, names: Sequence[str], edge_names: Sequence[str], given: bool
 ) -> str:
     """A sentence about maps that no cycle of trusted ones checks, with what to do; empty where there are none."""
-    graph, more = nx.empty_graph(problem.n_nodes), "give maps of more pairs" if given else "use a graph with more pairs"
+    graph, more = nx.empty_graph(problem.n_nodes), _MORE_PAIRS[given]
     trusted = np.flatnonzero(inlier_weights(estimate) > 0.5).tolist()
     graph.add_edges_from(problem.edges[trusted].tolist())
     parts = [" + ".join(names[k] for k in sorted(part)) for part in nx.connected_components(graph)]

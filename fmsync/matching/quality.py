@@ -1,36 +1,21 @@
 """What to doubt in an answer, in words for somebody who has never heard of a Markov chain."""
 
-import numpy as np
-
-from fmsync import diagnostics
 from fmsync.matching.confidence import has_continuous_symmetry
-from fmsync.matching.network import MORE_DRAWS, unchecked_maps
+from fmsync.matching.network import doubts_of_draws, unchecked_maps
 from fmsync.matching.synchronize import SyncedShapes
-
-_RHAT, _ESS = 1.01, 400
 
 
 def quality_flags(synced: SyncedShapes) -> list[str]:
     """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
 
-    Watches the energy and the concentration of the chains, edges that contradict the rest, outliers, and symmetries.
+    Watches energy, concentration and modes of the chains, edges that contradict the rest, outliers, and symmetries.
     """
     said = []
     for what, among in (("left out", False), ("doubtful, as are their maps: leave them out", True)):
         if outliers := [name for name in synced.outliers if (name in synced.names) == among]:
             said.append(f"Unlike the rest and {what}: {', '.join(outliers)}.")
     if synced.posterior is not None:
-        varying = [x for x in (synced.posterior.energy, synced.posterior.kappa) if np.ptp(x) > 0]
-        apart = max((diagnostics.rhat(x) for x in varying), default=np.nan)
-        effective = min((diagnostics.ess(x) for x in varying), default=np.nan)
-        if not np.isfinite(apart):
-            said.append(f"There are too few posterior draws to tell whether the chains agree: {MORE_DRAWS}.")
-        elif apart > _RHAT:
-            text = f"The chains of posterior draws do not agree (R-hat {apart:.3f}; it should be below {_RHAT}): "
-            said.append(text + f"do not rely on the regions; {MORE_DRAWS}.")
-        if np.isfinite(effective) and effective < _ESS:
-            text = f"The posterior draws are worth only {effective:.0f} independent ones (ESS; {_ESS} are wanted): "
-            said.append(text + f"the regions are rough; {MORE_DRAWS}.")
+        said += doubts_of_draws(synced.posterior, bool(synced.map_names))
     if pairs := [synced.edge_names[e] for e in synced.violating]:
         said.append(f"{len(pairs)} pairs contradict the left and right of the others: doubt {', '.join(pairs)}.")
     if turned := [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]:

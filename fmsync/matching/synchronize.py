@@ -281,7 +281,7 @@ def synchronize_matches(
     estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
     used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if map_names else np.arange(len(edges))
     part = trusted_part(problem, estimate, used)
-    posterior = posterior_draws(part, estimate, n_draws, rng, progress) if n_draws else None
+    posterior = posterior_draws(part, estimate, n_draws, rng, progress, bool(map_names)) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
     steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
     refined = upsample(shapes, edges[used], start, steps)

@@ -1,5 +1,6 @@
 """What :func:`fmsync.sample` returns: draws, and the answers read off them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from fmsync import adapters, checks, so
 from fmsync.diagnostics import Draws, Summary, summary
+from fmsync.problem import SyncProblem
 from fmsync.problem import relative_maps_unchecked as relative_maps
 
 
@@ -18,10 +20,12 @@ class Posterior(Draws):
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
     ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
-    posterior inlier probabilities of the observations under the mixture likelihood, None for the others.
+    posterior inlier probabilities of the observations under the mixture likelihood, None for the others. ``modes`` says
+    that chains lie in different modes or that pilots found another one, as :func:`fmsync.sample` warns; or it is empty.
     """
 
     edge_weights: np.ndarray | None = None
+    modes: str = ""
 
     @property
     def n_chains(self) -> int:
@@ -79,8 +83,14 @@ class Posterior(Draws):
         return summary(self)
 
     def to_arviz(self, edges: np.ndarray | None = None) -> Any:
-        """The same scalars as an object of ArviZ (:func:`fmsync.adapters.to_arviz`)."""
+        """The same scalars, and the draws, as an object of ArviZ (:func:`fmsync.adapters.to_arviz`)."""
         return adapters.to_arviz(self, edges)
+
+    @classmethod
+    @checks.checked()
+    def from_arviz(cls, data: Mapping[str, Any], problem: SyncProblem) -> "Posterior":
+        """What :meth:`to_arviz` gave away, less ``edge_weights`` and ``modes`` (:func:`fmsync.adapters.from_arviz`)."""
+        return cls(**vars(adapters.from_arviz(data, problem)))
 
     def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
         """(chains * draws,) distance of every draw of one relative map to the mean of the others."""

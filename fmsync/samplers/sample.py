@@ -92,9 +92,9 @@ def sample(
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
             todo = "use method='tempered', which weighs the modes"
-            warnings.warn(ConvergenceWarning(said, todo), stacklevel=3)
+            warnings.warn(f"{said}; {todo}", ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
-    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings, weights)
+    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings, weights, said)
     checks.unchecked(warn_unless_converged)(post)
     return post
 

@@ -19,10 +19,11 @@ from fmsync.diagnostics import ConvergenceWarning
 from fmsync.estimators import Estimate
 from fmsync.matching import output, synchronize
 from fmsync.matching.map_files import read_maps
-from fmsync.matching.network import unchecked_maps
+from fmsync.matching.network import posterior_draws, unchecked_maps
 from fmsync.matching.quality import quality_flags
 from fmsync.shape import Basis, Shape
 from tests.matching.conftest import OPTIONS, QUICK, write_off
+from tests.samplers.test_tempered import twisted_ring
 
 N, V = 5, 1000
 PAIRS = list(itertools.combinations(range(N), 2))
@@ -175,6 +176,8 @@ def test_a_wrong_direction_is_said(shapes, rough, truth):
     maps[0, 1] = {"zoomout.npy": as_soft(truth[1, 0])}
     with pytest.raises(ValueError, match=r"^zoomout.npy, maps\[1, 3\] \(cat1 to cat3\): keeps"):
         synced_from(shapes, maps)
+    with pytest.raises(ValueError, match=r"^maps\[0, 1\] \(cat0 to cat1\), .*, maps\[0, 3\] .* and 7 more: keeps"):
+        synced_from(shapes, {(i, j): truth[j, i] for i, j in PAIRS})
 
 
 def test_a_wrong_direction_of_rectangular_maps_is_said(shapes, bases, truth):
@@ -263,6 +266,18 @@ def test_advice_about_draws_names_what_the_pipeline_has(shapes, rough):
     said = " ".join(str(w.message) for w in told)
     assert not {"warmup", "thin", "method"} & {*said.replace("=", " ").split()}
     assert told[0].filename == synced_from.__code__.co_filename
+
+
+@pytest.mark.parametrize(
+    ("given", "advice"),
+    [(True, "give maps of more pairs."), (False, r"\(graph, --graph\), or give landmarks \(landmarks, --landmarks\).")],
+)
+def test_a_mode_that_the_draws_miss_is_said_with_what_helps(given, advice):
+    ring = twisted_ring(3, n_nodes=9)  # observed ten times, which makes its two modes narrow
+    problem = fmsync.SyncProblem(9, np.tile(ring.edges, (10, 1)), np.tile(ring.maps, (10, 1, 1)))
+    with pytest.warns(ConvergenceWarning, match=f"more ways than one.*do not rely on the regions; .*{advice}$"):
+        draws = posterior_draws(problem, fmsync.solve(problem, rng=0), 2000, np.random.default_rng(0), False, given)
+    assert "settled in another mode" in draws.modes
 
 
 def smaller(shape):

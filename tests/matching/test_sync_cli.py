@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from fmsync.cli import main
-from fmsync.matching import conformal
+from fmsync.matching import conformal, network
 from fmsync.mesh_io import read_shape
 from tests.matching.conftest import QUICK, write_off
 
@@ -48,6 +49,22 @@ def test_thin_draws_are_said_in_plain_words_everywhere(written):
     assert "warnings.warn" not in written.said
     assert "%|" not in written.said  # bars are for terminals
     assert "random species" in page  # what the regions were learnt from
+
+
+def test_modes_of_the_posterior_are_one_line_with_an_option_that_helps(folder, tmp_path, monkeypatch, capsys):
+    drawn = network.sample
+    monkeypatch.setattr(network, "sample", lambda *a, **k: replace(drawn(*a, **k), modes="one chain is in another"))
+    assert main(["sync", str(folder), "-o", str(tmp_path / "out"), "--json", *QUICK]) == 0
+    out, err = capsys.readouterr()
+    (line,) = [line for line in err.splitlines() if "in another" in line]
+    assert line.startswith("fmsync: warning: The maps can agree in more ways than one (one chain is in another): ")
+    (said,) = [text for text in json.loads(out)["warnings"] if "in another" in text]
+    assert line.endswith(said)
+    assert said in (tmp_path / "out" / "README.txt").read_text()
+    with pytest.raises(SystemExit):
+        main(["sync", "--help"])
+    assert set(re.findall("--[a-z]+", said)) == {"--graph", "--landmarks"}
+    assert set(re.findall("--[a-z]+", said)) <= set(re.findall("--[a-z]+", capsys.readouterr().out))
 
 
 def test_the_report_reaches_every_pair_and_asks_for_nothing(written):
