@@ -67,7 +67,7 @@ class GroundTruth:
 @checks.checked(flip="V < W")
 def ground_truth(
     shapes: Sequence[Shape],
-    graph: nx.Graph,
+    graph: nx.Graph | None = None,
     n_basis: int = 20,
     *,
     tree: str = "depth-first",
@@ -75,7 +75,7 @@ def ground_truth(
     point_maps: Mapping[tuple[int, int], np.ndarray] | None = None,
     flip: np.ndarray | None = None,
 ) -> GroundTruth:
-    """Ground-truth maps of a collection whose N shapes share one vertex order, on a connected ``graph`` of 0..N-1.
+    """Ground-truth maps of N shapes in one vertex order, on a connected ``graph`` of 0..N-1, complete by default.
 
     * ``n_basis``, ``bases``: number n of Laplace–Beltrami eigenfunctions, and bases of at least as many to be used
       instead of those computed here, which stay in the cache of this machine.
@@ -86,13 +86,14 @@ def ground_truth(
       vertex order.
     * ``flip``: (V,) the mirror image of every vertex of the first shape, where there is a left–right symmetry.
 
-    >>> import networkx as nx, pyvista as pv, data_gen, fmsync
+    >>> import pyvista as pv, data_gen, fmsync
     >>> ball = pv.ParametricEllipsoid(1.0, 0.8, 0.6, u_res=20, v_res=20, w_res=20).triangulate().clean()
     >>> shape = fmsync.Shape(ball.points, ball.regular_faces, "ellipsoid")
-    >>> truth = data_gen.ground_truth([shape, shape, shape], nx.complete_graph(3), n_basis=6)
+    >>> truth = data_gen.ground_truth([shape, shape, shape], n_basis=6)
     >>> bool(abs(truth.maps - truth.measured_maps).max() < 1e-8)
     True
     """
+    graph = nx.complete_graph(len(shapes)) if graph is None else graph
     edges = graph_edges(graph)
     if len(shapes) != graph.number_of_nodes():
         raise ValueError(f"graph: has {graph.number_of_nodes()} nodes for {len(shapes)} shapes")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import draw_overview
 import matplotlib.pyplot as plt
-import networkx as nx
 import numpy as np
 import pandas as pd
 import pyvista as pv
@@ -137,7 +136,7 @@ def main() -> None:
     """Plant, observe, solve, sample and draw."""
     viz.style()
     shapes = [s.normalised() for s in data_gen.load_collection("cats")]
-    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
+    truth = data_gen.ground_truth(shapes)
     noisy, pair = data_gen.perturb(truth, sigma2=0.1, rng=6), [FIRST, OTHER]
     with diagnostics.short_run():  # a hundred draws will do
         options = {"n_chains": 2, "n_draws": 50, "thin": 3, "warmup": 300, "likelihood": "projected-gaussian"}

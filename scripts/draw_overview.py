@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -45,7 +44,7 @@ class Story:
 def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> Story:
     """Plant, observe, solve and sample."""
     shapes = data_gen.load_collection("cats", n_vertices=n_vertices)
-    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
+    truth = data_gen.ground_truth(shapes)
     problem = data_gen.perturb(truth, sigma2=0.1, rng=1)
     observed = {tuple(edge): c for edge, c in zip(problem.edges.tolist(), problem.maps)}
     observed |= {(j, i): c.T for (i, j), c in observed.items()}
@@ -72,7 +71,7 @@ def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> St
 def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> viz.Explorer:
     """Two of eleven cats, and where their vertices go at three levels of the noise."""
     shapes = [shape.normalised() for shape in data_gen.load_collection("cats", n_vertices=n_vertices)]
-    truth = data_gen.ground_truth(shapes, nx.complete_graph(len(shapes)))
+    truth = data_gen.ground_truth(shapes)
     pair, chosen = [0, 10], farthest_points(shapes[0].vertices, min(n_vertices, 200))
     chosen = np.append(chosen, data_gen.front_paw(shapes[0]))  # which the chapters follow
     states: dict[str, list[viz.State]] = {"observed": [], "synchronised": [], "posterior": []}
