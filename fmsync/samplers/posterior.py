@@ -18,10 +18,12 @@ class Posterior(Draws):
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
     ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
-    posterior inlier probabilities of the observations under the mixture likelihood, None for the others.
+    posterior inlier probabilities of the observations under the mixture likelihood, and ``edge_kappas`` (chains, draws,
+    E) their concentrations under the likelihood by edge, whose mean over the edges ``kappa`` is; None for the others.
     """
 
     edge_weights: np.ndarray | None = None
+    edge_kappas: np.ndarray | None = None
 
     @property
     def n_chains(self) -> int:
