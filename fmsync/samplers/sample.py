@@ -89,7 +89,8 @@ def sample(
         absolute, energies, kappas, weights, edge_kappas = run_chains(chains, n_draws, warmup, thin, callback)
         said = split_chains(problem, absolute)
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
-        looks = n_steps and method != "tempered" and weights is None and chains.settings.get("constrained", True)
+        piloted = method != "tempered" and likelihood not in ("mixture", "by-edge")
+        looks = n_steps and piloted and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
