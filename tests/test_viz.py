@@ -292,7 +292,7 @@ def test_walk_ends_where_the_chain_does():
 
 @pytest.mark.parametrize(
     ("points", "message"),
-    [(np.ones((40, 3)), r"points has shape \(40, 3\)"), (np.eye(3), "3 points for 30 frames")],
+    [(np.ones((40, 3)), r"points has shape \(40, 3\)"), (np.eye(3), "3 points for 20 frames")],
 )
 def test_bad_walks_are_refused(points, message):
     with pytest.raises(ValueError, match=message):
