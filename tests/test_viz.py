@@ -16,7 +16,6 @@ import pytest
 from PIL import Image
 
 from fmsync import Shape, viz
-from fmsync.shape import Basis
 from fmsync.viz import scenes
 
 
@@ -400,20 +399,6 @@ def test_the_still_of_an_explorer_shows_where_the_images_are(no_gl):
 def test_bad_explorers_are_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         viz.explorer(**two_balls(**changed))
-
-
-def test_carried_sends_vertices_there_and_back_and_refuses_other_sizes():
-    points = np.random.default_rng(0).standard_normal((6, 3))
-    basis = Basis([0.0, 1.0, 2.0], points, np.ones(6))
-    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
-    other = Basis([0.0, 1.0, 2.0], points[::-1] @ turn, np.ones(6))
-    state = viz.carried("draws", [turn, turn], (basis, other), ([0, 2], [1]), noise=0.1, temperature="β = 1")
-    assert (state.view, state.noise, state.temperature) == ("draws", 0.1, "β = 1")
-    assert [images.tolist() for images in state.images] == [[[5, 5], [3, 3]], [[4, 4]]]
-    with pytest.raises(ValueError, match=r"vertices\[1\]\[0\] = 6 is outside"):
-        viz.carried("draws", [turn], (basis, other), ([0], [6]))
-    with pytest.raises(ValueError, match=r"maps: expected \(K, 3, 3\)"):
-        viz.carried("draws", [np.eye(2)], (basis, other), ([0], [1]))
 
 
 def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl, monkeypatch):
