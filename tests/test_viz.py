@@ -119,6 +119,15 @@ def test_turnable_scene_is_a_vtkjs_file_with_one_renderer_a_panel():
     assert all(a["content"] for a in state["hashes"].values())
 
 
+def test_more_than_two_shapes_in_a_row_are_a_still_overview():
+    balls = [sphere(5)] * 4
+    wide, narrow = viz.scene(balls, alt="Four balls.", columns=4), viz.scene(balls, alt="Four balls.")
+    assert (wide.rows, wide.data) == (1, None)
+    assert "OpenGL" not in wide.html()
+    assert (narrow.rows, narrow.columns) == (2, 2)
+    assert (narrow.data is not None) == scenes.can_render()
+
+
 @needs_gl
 def test_pages_share_the_viewer_and_notebooks_bring_their_own(monkeypatch):
     shown = viz.scene([sphere()], alt="A ball.")
