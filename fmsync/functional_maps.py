@@ -4,10 +4,14 @@ One convention everywhere: ``C_ij`` (n_i, n_j) takes coefficients on shape j to 
 j are pulled back along a point map from i to j, and ``C_ij @ C_jk`` is ``C_ik`` (Ovsjanikov et al. 2012).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmsync import checks, so
 from fmsync.shape import Basis
+from fmsync.threads import single_threaded_blas
 
 _BLOCK, _MANY = 128, 4000  # rows at a time, and from where groups of rows are faster than all of them
 
@@ -103,19 +107,53 @@ def point_map(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis, vertices: np.nda
     return nearest_rows_unchecked(rows @ c_ij, basis_j.eigenfunctions)
 
 
-@checks.checked(relative_draws=checks.array, vertex=">= 0")
-def vertex_images(relative_draws: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: int) -> np.ndarray:
-    r"""Images (K,) on shape j of one vertex of shape i under every draw of C_ij.
+@checks.checked(maps=checks.array, vertex=checks.plain)
+def vertex_images(maps: np.ndarray, basis_i: Basis, basis_j: Basis, vertex: ArrayLike) -> np.ndarray:
+    r"""Images (K,) on shape j of one vertex of shape i under every map C_ij; or (S, K) of vertices (S,).
 
     The vertex x goes to :math:`\arg\min_y\lVert(\Phi_i C_{ij})_x-(\Phi_j)_y\rVert`, as in :func:`fmsync.point_map`.
+    ``maps`` (K, n_i, n_j) may be draws, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
 
-    ``relative_draws`` (K, n_i, n_j) are draws of C_ij, e.g. ``post.relative([[i, j]]).reshape(-1, n, n)``.
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> vertex_images([np.eye(2), np.diag([1.0, -1.0])], basis, basis, 0)
+    array([0, 1])
     """
-    relative_draws = np.asarray(relative_draws, dtype=float)
-    if relative_draws.ndim != 3 or relative_draws.shape[1:] != (basis_i.n, basis_j.n):
-        raise ValueError(f"relative_draws: expected (K, {basis_i.n}, {basis_j.n}), got {relative_draws.shape}")
-    checks.indices("vertex", [vertex], basis_i.n_vertices)
-    return nearest_rows_unchecked(basis_i.eigenfunctions[vertex] @ relative_draws, basis_j.eigenfunctions)
+    if maps.ndim != 3 or maps.shape[1:] != (basis_i.n, basis_j.n):
+        raise ValueError(f"maps: expected (K, {basis_i.n}, {basis_j.n}), as large as the bases, got {maps.shape}")
+    at = checks.indices("vertex", np.atleast_1d(vertex), basis_i.n_vertices)
+    images = row_images(basis_i.eigenfunctions[at], maps, basis_j.eigenfunctions).T
+    return images if np.ndim(vertex) else images[0]
+
+
+@checks.checked(maps="K n m", vertices=checks.plain)
+def images_both_ways(
+    maps: np.ndarray, bases: Sequence[Basis], vertices: Sequence[ArrayLike]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Images of vertices of two shapes on each other: there under rotations, and back under their transposes.
+
+    Takes ``maps`` (K, n, n) of C_01 between two ``bases``, and vertices (S_0,) and (S_1,), to (S_0, K) and (S_1, K).
+
+    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
+    >>> images_both_ways([np.diag([1.0, -1.0])], (basis, basis), ([0, 1], [0]))
+    (array([[1],
+           [0]]), array([[1]]))
+    """
+    (i, j), back = bases, so.transpose(maps)
+    at = [checks.indices(f"vertices[{k}]", vertices[k], bases[k].n_vertices) for k in (0, 1)]
+    return vertex_images(maps, i, j, at[0]), vertex_images(back, j, i, at[1])
+
+
+@checks.checked(rows="S n", maps="K n m", functions="V m")
+def row_images(rows: np.ndarray, maps: np.ndarray, functions: np.ndarray) -> np.ndarray:
+    """Row of ``functions`` (V, m) nearest to each of the ``rows`` (S, n) that each of the maps (K, n, m) moves: (K, S).
+
+    >>> row_images([[1.0, 0.0]], [np.eye(2), [[0.0, 1.0], [1.0, 0.0]]], np.eye(2))
+    array([[0],
+           [1]])
+    """
+    with single_threaded_blas():
+        moved = (rows @ maps).reshape(-1, functions.shape[1])
+        return nearest_rows_unchecked(moved, functions).reshape(len(maps), -1)
 
 
 @checks.checked(queries="Q n", targets="V n")

@@ -46,8 +46,8 @@ def run_sample(options: argparse.Namespace) -> int:
         raise KeyboardInterrupt
     arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
     arrays["relative_mean"] = post.relative_mean()
-    if post.edge_weights is not None:
-        arrays["edge_weights"] = post.edge_weights
+    by_edge = {"edge_weights": post.edge_weights, "edge_kappas": post.edge_kappas}
+    arrays |= {name: values for name, values in by_edge.items() if values is not None}
     summary = {
         "chains": post.n_chains,
         "draws": post.n_draws,

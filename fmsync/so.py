@@ -20,7 +20,7 @@ _SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
-_AT_ONCE = 128  # matrices whose powers stay in the cache
+_AT_ONCE = 64  # matrices whose powers stay in the cache
 _interpolant = Chebyshev.interpolate(
     lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
 )
@@ -114,12 +114,15 @@ def log(r: np.ndarray) -> np.ndarray:
     r = np.asarray(r, dtype=float)
     n = r.shape[-1]
     flat = r.reshape(-1, n, n)
-    omega, near = np.empty(flat.shape), np.zeros(len(flat), bool)
+    omega = np.empty(flat.shape)
     for first in range(0, len(flat), _AT_ONCE):
-        part = np.arange(first, min(first + _AT_ONCE, len(flat)))
-        part = part[_may_be_near(flat[part])]
-        omega[part], near[part] = _log_series(flat[part])
-    omega[~near] = log_eigen_unchecked(flat[~near])
+        part = flat[first : first + _AT_ONCE]
+        few = _may_be_near(part[:4])  # most batches are near as a whole, or far: then the rest need not be asked
+        near = _may_be_near(part) if few.any() else np.zeros(len(part), bool)
+        found = omega[first : first + _AT_ONCE]
+        if few.any():
+            found[near], near[near] = _log_series(part[near])
+        found[~near] = log_eigen_unchecked(part[~near])
     return omega.reshape(r.shape)
 
 

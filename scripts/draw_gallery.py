@@ -85,7 +85,7 @@ def posterior(shapes: list[fmsync.Shape], vertex: int, images: np.ndarray) -> Fi
     """A vertex of one cat, and on another the light of where draws send it."""
     turned = [viz.facing(s, vertex) for s in shapes]
     lit = [viz.glow(turned[0], []), viz.glow(turned[1], images)]
-    png = viz.scene(turned, lit, ["", ""], points=[[vertex], []], columns=2, alt="two cats").png
+    png = viz.scene(turned, lit, ["", ""], points=[[vertex], []], alt="two cats").png
     fig, ax = plt.subplots(figsize=(7, 3.6))
     ax.imshow(Image.open(io.BytesIO(png)))
     ax.set_axis_off()

@@ -18,6 +18,7 @@ from PIL import Image
 import data_gen
 import fmsync
 from fmsync import diagnostics, viz
+from fmsync.functional_maps import images_both_ways
 from fmsync.matching.samples import farthest_points
 
 IMAGES = Path(__file__).resolve().parents[1] / "book" / "images"
@@ -88,7 +89,7 @@ def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> v
         }
         bases = [truth.bases[k] for k in pair]
         for view, c in maps.items():
-            states[view].append(viz.carried(view, c, bases, (chosen, chosen), noise=sigma2))
+            states[view].append(viz.State(view, images_both_ways(c, bases, (chosen, chosen)), noise=sigma2))
     return viz.explorer(
         [shapes[k] for k in pair],
         (chosen, chosen),

@@ -45,7 +45,7 @@ PAGES = sorted(
 )
 _HOLDS = {
     mark: [p for p in PAGES if mark in (HTML / p).read_text(encoding="utf-8")]
-    for mark in ("fm-scene", "fm-moving", '<div class="fm-explorer"')
+    for mark in ('class="fm-scene"', "fm-moving", '<div class="fm-explorer"')
 }
 SCENES, PLAYERS, EXPLORERS = _HOLDS.values()
 
@@ -465,6 +465,8 @@ def test_scenes_draw_and_turn_when_dragged(opened, name):
         stages.nth(k).scroll_into_view_if_needed()
         stages.nth(k).locator("iframe.fm-drawn").wait_for(timeout=30_000)
         assert page.locator("iframe.fm-live").count() <= 6
+        titles = [title.bounding_box() for title in stages.nth(k).locator(".fm-titles span").all()]
+        assert titles == sorted(titles, key=lambda box: (box["y"], box["x"]))  # as the panels of the still
     stage = stages.first
     stage.scroll_into_view_if_needed()
     stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)

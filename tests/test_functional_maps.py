@@ -7,6 +7,7 @@ from fmsync.descriptors import heat_kernel_signature, wave_kernel_signature
 from fmsync.functional_maps import (
     functional_map,
     functional_map_from_descriptors,
+    images_both_ways,
     nearest_rows,
     point_map,
     vertex_images,
@@ -186,6 +187,9 @@ def test_images_against_the_point_map_of_every_draw():
     basis_i, basis_j, draws = random_basis(60), random_basis(70, rng=1), so.random_uniform(20, 30, rng=2)
     images = vertex_images(draws, basis_i, basis_j, 7)
     assert images.tolist() == [point_map(c, basis_i, basis_j)[7] for c in draws]
+    there, back = images_both_ways(draws, (basis_i, basis_j), ([2, 7], [69]))
+    assert there[1].tolist() == images.tolist()
+    assert back.tolist() == [[point_map(c.T, basis_j, basis_i)[69] for c in draws]]
 
 
 # --- bad input ------------------------------------------------------------------------------------------------------
@@ -223,3 +227,7 @@ def test_bad_input_is_named():
         vertex_images(np.eye(2), basis, basis, 0)
     with pytest.raises(ValueError, match=r"vertex\[0\] = 10"):
         vertex_images(np.eye(2)[None], basis, basis, 10)
+    with pytest.raises(ValueError, match=r"vertices\[1\]\[0\] = 2 is outside"):
+        images_both_ways([np.eye(2)], (basis, basis), ([0], [2]))
+    with pytest.raises(ValueError, match=r"maps: expected \(K, 2, 2\)"):
+        images_both_ways([np.eye(3)], (basis, basis), ([0], [1]))

@@ -48,7 +48,6 @@ KERNELS = {
     "fmsync.matching.output.load_synced": "reads what fmsync sync wrote: tests/matching/test_transfer.py",
     "fmsync.matching.synchronize.synchronize_matches": "stages of synchronize_shapes, which checks for it",
     "fmsync.viz.explorer.State": "a record that explorer checks: tests/test_viz.py",
-    "fmsync.viz.explorer.carried": "makes a State, as above: tests/test_viz.py",
     "fmsync.viz.explorer.explorer": "draws what explore computed: tests/test_viz.py",
 }
 
@@ -222,7 +221,13 @@ class Valid:
             },
             "fmsync.shape.Basis.coefficients": {"functions": rng.random((n_vertices, 2))},
             "fmsync.shape.Basis.with_flipped": {"k": 2},
-            "fmsync.functional_maps.vertex_images": {"relative_draws": rng.random((6, 5, 5)), "vertex": 3},
+            "fmsync.functional_maps.vertex_images": {"maps": rng.random((6, 5, 5)), "vertex": 3},
+            "fmsync.functional_maps.images_both_ways": {
+                "maps": rng.random((6, 5, 5)), "bases": [basis, basis], "vertices": [order[:3], order[:2]],
+            },
+            "fmsync.functional_maps.row_images": {
+                "rows": rng.random((4, 3)), "maps": rng.random((6, 3, 5)), "functions": rng.random((7, 5)),
+            },
             "fmsync.problem.LangevinPrior": {"mean": c, "kappa": np.ones(4)},
             "fmsync.problem.fix_gauge": {"node": 1},
             "fmsync.estimators.rectangular.RectangularSyncProblem": {

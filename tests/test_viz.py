@@ -16,7 +16,6 @@ import pytest
 from PIL import Image
 
 from fmsync import Shape, viz
-from fmsync.shape import Basis
 from fmsync.viz import scenes
 
 
@@ -118,6 +117,15 @@ def test_turnable_scene_is_a_vtkjs_file_with_one_renderer_a_panel():
     assert len([r for r in renderers if "Renderer" in r["type"]]) >= 2
     assert cameras
     assert all(a["content"] for a in state["hashes"].values())
+
+
+def test_more_than_two_shapes_in_a_row_are_a_still_overview():
+    balls = [sphere(5)] * 4
+    wide, narrow = viz.scene(balls, alt="Four balls.", columns=4), viz.scene(balls, alt="Four balls.")
+    assert (wide.rows, wide.data) == (1, None)
+    assert "OpenGL" not in wide.html()
+    assert (narrow.rows, narrow.columns) == (2, 2)
+    assert (narrow.data is not None) == scenes.can_render()
 
 
 @needs_gl
@@ -292,7 +300,7 @@ def test_walk_ends_where_the_chain_does():
 
 @pytest.mark.parametrize(
     ("points", "message"),
-    [(np.ones((40, 3)), r"points has shape \(40, 3\)"), (np.eye(3), "3 points for 30 frames")],
+    [(np.ones((40, 3)), r"points has shape \(40, 3\)"), (np.eye(3), "3 points for 20 frames")],
 )
 def test_bad_walks_are_refused(points, message):
     with pytest.raises(ValueError, match=message):
@@ -400,20 +408,6 @@ def test_the_still_of_an_explorer_shows_where_the_images_are(no_gl):
 def test_bad_explorers_are_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         viz.explorer(**two_balls(**changed))
-
-
-def test_carried_sends_vertices_there_and_back_and_refuses_other_sizes():
-    points = np.random.default_rng(0).standard_normal((6, 3))
-    basis = Basis([0.0, 1.0, 2.0], points, np.ones(6))
-    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
-    other = Basis([0.0, 1.0, 2.0], points[::-1] @ turn, np.ones(6))
-    state = viz.carried("draws", [turn, turn], (basis, other), ([0, 2], [1]), noise=0.1, temperature="β = 1")
-    assert (state.view, state.noise, state.temperature) == ("draws", 0.1, "β = 1")
-    assert [images.tolist() for images in state.images] == [[[5, 5], [3, 3]], [[4, 4]]]
-    with pytest.raises(ValueError, match=r"vertices\[1\]\[0\] = 6 is outside"):
-        viz.carried("draws", [turn], (basis, other), ([0], [6]))
-    with pytest.raises(ValueError, match=r"maps: expected \(K, 3, 3\)"):
-        viz.carried("draws", [np.eye(2)], (basis, other), ([0], [1]))
 
 
 def test_an_explorer_too_heavy_for_a_page_is_refused(no_gl, monkeypatch):

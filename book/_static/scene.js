@@ -6,24 +6,23 @@
   const alive = []; // stages, oldest first
   const phone = matchMedia("screen and (max-width: 480px)");
 
-  // One shape above the other on a phone, or two by two where there are many; those of two rows stay together.
+  // One shape above the other on a phone, or two by two where there are many.
   function arrange(stage) {
     const [image, titles] = ["img", ".fm-titles"].map((q) => stage.querySelector(q)), panels = [...titles.children];
     const { rows, columns } = stage.dataset, [width, height] = ["width", "height"].map((a) => image.getAttribute(a));
     const shape = (width * rows) / (height * columns); // of a panel
     const across = !phone.matches ? +columns : panels.length > 4 ? 2 : 1;
-    const down = phone.matches ? Math.ceil(panels.length / across) : +rows, turned = phone.matches && across === 2 && rows === "2";
+    const down = phone.matches ? Math.ceil(panels.length / across) : +rows;
     const still = phone.matches && !stage.querySelector(".fm-drawn");
     image.style.visibility = phone.matches ? "hidden" : "";
     stage.style.aspectRatio = `${shape * across} / ${down}`;
     titles.style.gridTemplate = `repeat(${down}, 1fr) / repeat(${across}, 1fr)`;
-    titles.style.gridAutoFlow = turned ? "column" : "row";
     panels.forEach((panel, k) => { // its part of the still picture
       const [x, y] = [(k % columns) / (columns - 1 || 1), Math.floor(k / columns) / (rows - 1 || 1)];
       panel.style.background = still ? `url(${image.src}) ${100 * x}% ${100 * y}% / ${100 * columns}% ${100 * rows}%` : "";
     });
     return panels.map((_, k) => {
-      const [x, y] = turned ? [Math.floor(k / down), k % down] : [k % across, Math.floor(k / across)];
+      const [x, y] = [k % across, Math.floor(k / across)];
       return [x / across, 1 - (y + 1) / down, (x + 1) / across, 1 - y / down]; // of the viewer's window, from below
     });
   }

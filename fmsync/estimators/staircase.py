@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from fmsync import checks
-from fmsync.block_krylov import block_lanczos, orthonormal_rows
+from fmsync.block_krylov import DENSE, block_lanczos, largest_eigenpairs, orthonormal_rows
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
@@ -109,10 +109,14 @@ def _escape(problem: SyncProblem, lift: np.ndarray) -> np.ndarray | None:
     n_nodes, rank, n = lift.shape
     point = _Lifts(problem, rank).evaluate(lift)
     shift, apply = shifted_certificate(problem, point.extra[1], np.ones(n_nodes))
-    first, _ = orthonormal_rows(np.random.default_rng(0).standard_normal((n, n_nodes * n)))
-    values, vectors = block_lanczos(apply, first, n, lambda found: 1e-4 * found, min(12, n_nodes), cycles=4)
+    if n_nodes * n <= DENSE:
+        values, columns = largest_eigenpairs(apply, n_nodes * n, n)
+        rows = columns.T
+    else:
+        first, _ = orthonormal_rows(np.random.default_rng(0).standard_normal((n, n_nodes * n)))
+        values, rows = block_lanczos(apply, first, n, lambda found: 1e-4 * found, min(12, n_nodes), cycles=4)
     k = int((values > (1 + 1e-9) * shift).sum())
-    rows = vectors[:k].reshape(k, n_nodes, n).swapaxes(0, 1)  # any negative direction will do
+    rows = rows[:k].reshape(k, n_nodes, n).swapaxes(0, 1)  # any negative direction will do
     for halvings in range(20 * (k > 0)):
         moved = nearest(np.concatenate([lift, 0.5**halvings / np.abs(rows).max() * rows], axis=1), "O")
         if _Lifts(problem, rank + k).evaluate(moved).cost < point.cost:

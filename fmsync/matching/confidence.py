@@ -7,9 +7,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from fmsync.descriptors import heat_kernel_signature
-from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
+from fmsync.functional_maps import row_images
 from fmsync.matching.samples import SampledShape
-from fmsync.threads import single_threaded_blas
 
 _NEAR = 0.05  # square roots of the area: images this near to each other count as one place
 _FAR = 0.12  # two places this far apart are two modes
@@ -95,9 +94,7 @@ def confidence(
 def draw_images(first: SampledShape, second: SampledShape, draws: np.ndarray, count: int | None = None) -> np.ndarray:
     """(T, S) samples of j where draws (T, n, n) of C_ij send the first ``count`` samples of i, or all."""
     n = draws.shape[-1]
-    with single_threaded_blas():
-        moved = (first.sampled(count)[:, :n] @ draws).reshape(-1, n)
-        return nearest_rows(moved, second.sampled()[:, :n]).reshape(len(draws), -1)
+    return row_images(first.sampled(count)[:, :n], draws, second.sampled()[:, :n])
 
 
 def two_modes(votes: np.ndarray, geodesics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

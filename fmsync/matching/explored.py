@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmsync.functional_maps import nearest_rows
+from fmsync.functional_maps import nearest_rows, row_images
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.synchronize import SyncedShapes
-from fmsync.viz.explorer import Explorer, State, explorer, images_of
+from fmsync.viz.explorer import Explorer, State, explorer
 
 # vertices to choose from on each shape, and draws that carry them: a dozen posteriors are less than a megabyte even if
 # no two images agree
@@ -65,4 +65,4 @@ def explore(
 def _images(synced: SyncedShapes, i: int, j: int, maps: np.ndarray) -> np.ndarray:
     """Vertices (S, T) of shape j where maps C_ij (T, n, n) send the vertices to choose from on shape i."""
     n = maps.shape[-1]
-    return images_of(synced.shapes[i].sampled(_CHOICE)[:, :n], maps, synced.shapes[j].basis.eigenfunctions[:, :n])
+    return row_images(synced.shapes[i].sampled(_CHOICE)[:, :n], maps, synced.shapes[j].basis.eigenfunctions[:, :n]).T

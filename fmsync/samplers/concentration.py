@@ -4,18 +4,28 @@ Given the maps, :math:`p(\kappa)\propto\exp(\kappa T - E\log c_n(\kappa))` on [0
 :math:`T=\sum w\operatorname{tr}(C_{ij}^\top C_i^\top C_j)` and E the sum of the multiplicities w. The normaliser comes
 from a table: :math:`g(\kappa) = (1+\kappa)\log c_n(\kappa)/\kappa^2` rises from 1/2 to n, and is interpolated in
 log(1 + κ) by cubic Hermite polynomials.
+
+With a concentration for every observation these are, a priori, independent gamma variables cut to [0, 1e5], of shape a
+and mean m (before the cut), where log a and log m are uniform on the points :data:`SHAPES` and :data:`MEANS`. Given the
+maps each κ is drawn as above, its density :math:`\kappa^{a-1}\exp(\kappa(T-a/m)-\log c_n(\kappa))` being log-concave
+too; given all κ, m and then a are drawn from their tables. All steps are exact.
 """
 
 from functools import cache, cached_property
 
 import numba
 import numpy as np
+from scipy.special import gammainc, gammaln
 
 from fmsync import langevin
+from fmsync.problem import SyncProblem
 from fmsync.samplers.base import Target
+from fmsync.samplers.plane_rotations import node_blocks
 from fmsync.samplers.random_streams import uniform
 
 LARGEST_KAPPA = 1e5
+SHAPES = np.geomspace(1, 100, 24)  # at 100 concentrations hardly differ; below 1 the density is not log-concave
+MEANS = np.geomspace(0.1, LARGEST_KAPPA, 1401)
 _KNOTS = 1201
 _UPDATES = 4  # slices a step: the draws are then nearly independent of the last κ
 
@@ -52,23 +62,32 @@ def interpolated_log_normaliser(kappa: float, table: np.ndarray) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_kappa(kappa: float, trace: float, count: float, n: int, table: np.ndarray, state: np.ndarray) -> float:
-    """New κ given T = trace and E = count, by slice sampling of its log-concave density."""
+def _log_density(kappa: float, trace: float, count: float, power: float, table: np.ndarray) -> float:
+    return kappa * trace - count * interpolated_log_normaliser(kappa, table) + power * np.log(kappa)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_kappa(
+    kappa: float, trace: float, count: float, power: float, n: int, table: np.ndarray, state: np.ndarray
+) -> float:
+    r"""New κ of the log-concave density :math:`\kappa^{power}\exp(\kappa T-E\log c_n(\kappa))` by slices.
+
+    T = ``trace``, E = ``count``, ``power`` >= 0.
+    """
     dim = n * (n - 1) / 2
     for _ in range(_UPDATES):
-        width = 3 * max(kappa * np.sqrt(2 / (count * dim)), 1 / (n * np.sqrt(count)))
-        here = kappa * trace - count * interpolated_log_normaliser(kappa, table)
-        level = here + np.log(1 - uniform(state))
+        width = 3 * max(kappa * np.sqrt(2 / (count * dim + 2 * power)), 1 / (n * np.sqrt(count + power)))
+        level = _log_density(kappa, trace, count, power, table) + np.log(1 - uniform(state))
         low = kappa - width * uniform(state)
         high = low + width
-        while low > 0 and low * trace - count * interpolated_log_normaliser(low, table) > level:
+        while low > 0 and _log_density(low, trace, count, power, table) > level:
             low -= width
-        while high < LARGEST_KAPPA and high * trace - count * interpolated_log_normaliser(high, table) > level:
+        while high < LARGEST_KAPPA and _log_density(high, trace, count, power, table) > level:
             high += width
         low, high = max(low, 0.0), min(high, LARGEST_KAPPA)
         while True:
             new = low + (high - low) * uniform(state)
-            if new * trace - count * interpolated_log_normaliser(new, table) >= level:
+            if _log_density(new, trace, count, power, table) >= level:
                 break
             if new < kappa:
                 low = new
@@ -97,7 +116,7 @@ class Concentration:
         """
         counts = np.full(len(traces), self._count) if counts is None else np.maximum(counts, 1e-9)  # of none: the prior
         for k, (trace, count, b) in enumerate(zip(traces, counts, powers)):
-            self.value[k] = draw_kappa(self.value[k], b * trace, b * count, self._n, self._table, states[k])
+            self.value[k] = draw_kappa(self.value[k], b * trace, b * count, 0.0, self._n, self._table, states[k])
 
     def log_likelihood(self, traces: np.ndarray) -> np.ndarray:
         """(K,) κ T, and where κ is inferred - E log c_n(κ)."""
@@ -114,3 +133,82 @@ class Concentration:
         if not self.inferred:
             return self._fixed
         return np.array([interpolated_log_normaliser(kappa, self._table) for kappa in self.value])
+
+
+@numba.njit(cache=True, nogil=True)
+def _pick(log_weights: np.ndarray, state: np.ndarray) -> int:
+    cumulative = np.exp(log_weights - log_weights.max()).cumsum()
+    return min(np.searchsorted(cumulative, uniform(state) * cumulative[-1], side="right"), len(cumulative) - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_by_edge(
+    kappas: np.ndarray,
+    level: np.ndarray,
+    traces: np.ndarray,
+    inverse_temperature: float,
+    n: int,
+    table: np.ndarray,
+    prior: tuple[np.ndarray, np.ndarray, np.ndarray],
+    state: np.ndarray,
+) -> None:
+    """New κ (E,) given a, m and ``traces`` (E,), then m and a given κ, in place: ``level`` has the places of a and m.
+
+    ``prior`` are SHAPES, MEANS and the logarithms (24, 1401) of the factors that make the densities of κ integrate to
+    1; the likelihood counts ``inverse_temperature`` times.
+    """
+    shapes, means, factor = prior
+    a, rate = shapes[level[0]], shapes[level[0]] / means[level[1]]
+    for e in range(len(kappas)):
+        trace = inverse_temperature * traces[e] - rate
+        kappas[e] = draw_kappa(kappas[e], trace, inverse_temperature, a - 1, n, table, state)
+    total, logarithms, count = kappas.sum(), np.log(kappas).sum(), len(kappas)
+    level[1] = _pick(count * factor[level[0]] - a * total / means, state)
+    level[0] = _pick(count * factor[:, level[1]] + shapes * (logarithms - total / means[level[1]]), state)
+
+
+class EdgeConcentrations:
+    """A concentration of every observation, ``by_edge`` (K, E), and the blocks (K, 2E n²) that map sweeps read.
+
+    ``kappa`` (K,) are the means over the observations, ``prior`` what :func:`draw_by_edge` takes.
+    """
+
+    inferred = True
+
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        self._problem = p = target.problem
+        if target.kappa is not None:
+            raise ValueError("kappa, beta: likelihood='by-edge' infers a concentration for every edge; leave them out")
+        start = target.matched_kappa("kappa", rng)
+        self.by_edge = np.full((n_chains, p.n_edges), start)
+        self._level = np.tile([len(SHAPES) // 2, np.searchsorted(MEANS, start)], (n_chains, 1))
+        a, m = SHAPES[:, None], MEANS
+        self.prior = SHAPES, MEANS, a * np.log(a / m) - gammaln(a) - np.log(gammainc(a, a * LARGEST_KAPPA / m))
+        self._table = normaliser_table(p.n)
+        self.blocks = np.empty((n_chains, 2 * p.n_edges * p.n**2))
+
+    @property
+    def kappa(self) -> np.ndarray:
+        return self.by_edge.mean(axis=1)
+
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
+        """With ``infer`` new concentrations given the transposed maps x (K, N, n, n); then the blocks.
+
+        ``powers`` (K,) multiply the log-likelihood.
+        """
+        p = self._problem
+        for k, (seen, b) in enumerate(zip(traces(p, x), powers)):
+            if infer:
+                draw_by_edge(self.by_edge[k], self._level[k], seen, b, p.n, self._table, self.prior, states[k])
+            node_blocks(p.maps, self.by_edge[k] / self.by_edge[k].mean(), p.incidence, self.blocks[k])
+
+    def log_likelihood(self, x: np.ndarray) -> np.ndarray:
+        """(K,) at transposed maps x (K, N, n, n)."""
+        normalisers = [sum(interpolated_log_normaliser(kappa, self._table) for kappa in own) for own in self.by_edge]
+        return (self.by_edge * traces(self._problem, x)).sum(axis=1) - normalisers
+
+
+def traces(problem: SyncProblem, x: np.ndarray) -> np.ndarray:
+    """(K, E) traces of every observation against the relative map, of transposed maps x (K, N, n, n)."""
+    i, j = problem.edges.T
+    return np.stack([np.einsum("eab,eab->e", c[i], problem.maps @ c[j]) for c in x])

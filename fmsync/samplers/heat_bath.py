@@ -1,12 +1,14 @@
 """The heat bath: exact Gibbs sweeps over planes of every map, without a step size, without rejections."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fmsync import checks, so
 from fmsync.energy import energy_unchecked as euclidean_energy
 from fmsync.samplers import langevin_kernels, plane_rotations
 from fmsync.samplers.base import Sampler, Target, sampler
-from fmsync.samplers.concentration import Concentration
+from fmsync.samplers.concentration import Concentration, EdgeConcentrations
 from fmsync.samplers.inliers import Inliers
 from fmsync.samplers.polar_factor import PolarFactors
 from fmsync.samplers.random_streams import generators
@@ -16,6 +18,11 @@ _REPAIR_EVERY = 200  # sweeps between two re-orthonormalisations, which also ren
 # Below these a thread costs more to wake than it saves: N n² (n + 30) of all chains; of a colour, its nodes a thread.
 _WORTH_THREADS, _LEAST_COLOUR = 3e5, 4
 _BURN_IN = 100  # sweeps of the warm-up before an unknown κ or σ² moves: chains from random maps must order first
+
+_Latent = PolarFactors | Inliers | EdgeConcentrations
+_LATENT: dict[str, Callable[..., _Latent]] = {
+    "projected-gaussian": PolarFactors, "mixture": Inliers, "by-edge": EdgeConcentrations,
+}  # fmt: skip
 
 
 @sampler("heat-bath")
@@ -46,7 +53,7 @@ class HeatBath(Sampler):
         self._gains = np.empty(start.shape[:2])
         self.threads = ThreadPool(alone=self._gains.size * problem.n**2 * (problem.n + 30) <= _WORTH_THREADS)
         self.inverse_temperature = np.ones(len(start))
-        self._latent: PolarFactors | Inliers | None = None
+        self._latent: _Latent | None = None
         if target.likelihood == "langevin":
             self._concentration = Concentration(target, len(start), rng)
             self.kappa = self._concentration.value
@@ -54,8 +61,8 @@ class HeatBath(Sampler):
             plane_rotations.node_blocks(problem.maps, problem.weights, problem.incidence, blocks)
             self._blocks = blocks[None]  # every chain reads the same
         else:
-            self._latent = (Inliers if target.likelihood == "mixture" else PolarFactors)(target, len(start), rng)
-            self.kappa, self._blocks = self._latent.kappa, self._latent.blocks
+            self._latent = latent = _LATENT[target.likelihood](target, len(start), rng)
+            self.kappa, self._blocks = latent.kappa, latent.blocks
         self._refresh()
 
     @property
@@ -70,6 +77,10 @@ class HeatBath(Sampler):
     @property
     def edge_weights(self) -> np.ndarray | None:  # type: ignore[override]
         return self._latent.probabilities(self._x) if isinstance(self._latent, Inliers) else None
+
+    @property
+    def edge_kappas(self) -> np.ndarray | None:  # type: ignore[override]
+        return self._latent.by_edge if isinstance(self._latent, EdgeConcentrations) else None
 
     def energy(self) -> np.ndarray:
         if self._latent is not None:

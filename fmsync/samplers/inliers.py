@@ -20,7 +20,7 @@ from scipy.special import betaincinv, expit, logit
 
 from fmsync import checks
 from fmsync.samplers.base import Target
-from fmsync.samplers.concentration import Concentration
+from fmsync.samplers.concentration import Concentration, traces
 from fmsync.samplers.plane_rotations import inner, node_blocks
 from fmsync.samplers.random_streams import LANES, fill, uniform
 
@@ -90,8 +90,8 @@ class Inliers:
         if infer:
             exponent = powers[:, None] * np.stack([self.kappa, self._concentration.log_normaliser()], axis=1)
             jump(x, p.maps, p.incidence, self._field, exponent, logit(self._share), states)
-        traces = self._traces(x)
-        chances = self._chances(self._gains(traces) * powers[:, None])
+        seen = traces(p, x)
+        chances = self._chances(self._gains(seen) * powers[:, None])
         for k in range(len(x) if infer else 0):
             fill(states[k], self._numbers)
             first, *numbers = self._numbers.flat[: p.n_edges + 1]
@@ -100,17 +100,17 @@ class Inliers:
             self._share[k] = np.clip(betaincinv(1 + count, 1 + p.n_edges - count, first), 1e-300, 1 - 1e-16)
         if infer and self.inferred:
             counts = self._inlier.sum(axis=1)
-            self._concentration.update((self._inlier * traces).sum(axis=1), states, powers, counts)
+            self._concentration.update((self._inlier * seen).sum(axis=1), states, powers, counts)
         for k in range(len(x)):
             node_blocks(p.maps, self._inlier[k], p.incidence, self.blocks[k])
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""
-        return self._chances(self._gains(self._traces(x)))
+        return self._chances(self._gains(traces(self._problem, x)))
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) of the inliers at transposed maps x (K, N, n, n); that of an outlier is 0."""
-        return (self._inlier * self._gains(self._traces(x))).sum(axis=1)
+        return (self._inlier * self._gains(traces(self._problem, x))).sum(axis=1)
 
     def _chances(self, gains: np.ndarray) -> np.ndarray:
         return expit(logit(self._share)[:, None] + gains)
@@ -118,8 +118,3 @@ class Inliers:
     def _gains(self, traces: np.ndarray) -> np.ndarray:
         """(K, E) log-likelihoods as inliers, those as outliers being 0."""
         return self.kappa[:, None] * traces - self._concentration.log_normaliser()[:, None]
-
-    def _traces(self, x: np.ndarray) -> np.ndarray:
-        """(K, E) traces of every observation against the relative map."""
-        i, j = self._problem.edges.T
-        return np.stack([np.einsum("eab,eab->e", c[i], self._problem.maps @ c[j]) for c in x])

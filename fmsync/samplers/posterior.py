@@ -20,11 +20,13 @@ class Posterior(Draws):
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
     ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
-    posterior inlier probabilities of the observations under the mixture likelihood, None for the others. ``modes`` says
-    that chains lie in different modes or that pilots found another one, as :func:`fmsync.sample` warns; or it is empty.
+    posterior inlier probabilities of the observations under the mixture likelihood, and ``edge_kappas`` (chains, draws,
+    E) their concentrations under the likelihood by edge, whose mean over the edges ``kappa`` is; None for the others.
+    ``modes`` says that chains lie in different modes or that pilots found another one, as :func:`fmsync.sample` warns.
     """
 
     edge_weights: np.ndarray | None = None
+    edge_kappas: np.ndarray | None = None
     modes: str = ""
 
     @property
@@ -89,7 +91,7 @@ class Posterior(Draws):
     @classmethod
     @checks.checked()
     def from_arviz(cls, data: Mapping[str, Any], problem: SyncProblem) -> "Posterior":
-        """What :meth:`to_arviz` gave away, less ``edge_weights`` and ``modes`` (:func:`fmsync.adapters.from_arviz`)."""
+        """What :meth:`to_arviz` gave away, less all that has a default here (:func:`fmsync.adapters.from_arviz`)."""
         return cls(**vars(adapters.from_arviz(data, problem)))
 
     def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:

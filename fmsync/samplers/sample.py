@@ -63,8 +63,10 @@ def sample(
       :math:`C_{ij}=\mathrm{proj}_{SO(n)}(C_i^\top C_j+\sigma G)`, the paper's noise; σ² is inferred with
       :math:`\log\sigma^2` uniform on [log 1e-5, log 10]. ``"mixture"``, for the same two: an observation is Langevin
       with probability p, uniform a priori, and otherwise a uniformly random rotation; the posterior has the probability
-      of every edge in ``edge_weights``. The last two need observations in SO(n), so that for matrices with noise in
-      every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
+      of every edge in ``edge_weights``. ``"by-edge"``, for the same two: every observation has its own κ, gamma
+      distributed around a common mean, both inferred; its draws are ``edge_kappas``. The last three need observations
+      in SO(n), so that for matrices with noise in every entry, which are not projected, there is ``"langevin"`` with
+      κ = 1/σ² alone.
     * ``energy``: ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
       ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
     * ``callback``: called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where
@@ -84,29 +86,35 @@ def sample(
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
-        absolute, energies, kappas, weights = run_chains(chains, n_draws, warmup, thin, callback)
+        absolute, energies, kappas, weights, edge_kappas = run_chains(chains, n_draws, warmup, thin, callback)
         said = split_chains(problem, absolute)
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
-        looks = n_steps and method != "tempered" and weights is None and chains.settings.get("constrained", True)
+        piloted = method != "tempered" and likelihood not in ("mixture", "by-edge")
+        looks = n_steps and piloted and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
             said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
         if said:
             todo = "use method='tempered', which weighs the modes"
             warnings.warn(f"{said}; {todo}", ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
-    post = Posterior(problem, method, absolute, energies, kappas, energies.shape[1] < n_draws, settings, weights, said)
+    stopped = energies.shape[1] < n_draws
+    post = Posterior(problem, method, absolute, energies, kappas, stopped, settings, weights, edge_kappas, said)
     checks.unchecked(warn_unless_converged)(post)
     return post
 
 
 def run_chains(
     chains: Sampler, n_draws: int, warmup: int, thin: int, callback: Callback | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-    """Rotations (K, T, N, n, n), energies and concentrations (K, T), weights (E,) if any; T < n_draws after Ctrl-C."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Rotations (K, T, N, n, n), energies and concentrations (K, T); T < n_draws after Ctrl-C.
+
+    Also the weights (E,) and the concentrations (K, T, E) of the observations, if any.
+    """
     n_chains = len(chains.state)
     absolute = np.empty((n_chains, n_draws, *chains.state.shape[1:]))
     energies, kappas = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
-    done, weights = 0, None
+    done, weights, own = 0, None, chains.edge_kappas
+    edge_kappas = None if own is None else np.empty((n_chains, n_draws, own.shape[1]))
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
             for k in range(warmup):
@@ -124,13 +132,16 @@ def run_chains(
                 if (new := chains.edge_weights) is not None:
                     mean = new.mean(axis=0)
                     weights = mean if weights is None else weights + (mean - weights) / (done + 1)
+                if edge_kappas is not None:
+                    edge_kappas[:, done] = chains.edge_kappas
                 if callback is not None:
                     callback(done, chains.state, energies[:, done])
                 done += 1
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    return absolute[:, :done], energies[:, :done], kappas[:, :done], weights
+    of_edges = None if edge_kappas is None else edge_kappas[:, :done]
+    return absolute[:, :done], energies[:, :done], kappas[:, :done], weights, of_edges
 
 
 def checked_energy(chains: Sampler) -> np.ndarray:

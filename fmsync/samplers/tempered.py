@@ -70,6 +70,11 @@ class Tempered(Sampler):
         return None if weights is None else weights[self._cold()]
 
     @property
+    def edge_kappas(self) -> np.ndarray | None:  # type: ignore[override]
+        kappas = self._replicas.edge_kappas
+        return None if kappas is None else kappas[self._cold()]
+
+    @property
     def state(self) -> np.ndarray:
         return self._replicas.state[self._cold()]
 

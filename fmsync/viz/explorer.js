@@ -249,7 +249,7 @@
       light(target, images, state.region ? [way.centres[row], way.radius[row]] : null, to);
       const name = data.vertices[from][row], names = data.shapes.map((s) => s.name);
       const level = Math.round(100 * data.level), places = new Set(images).size;
-      const what = state.images === 1 ? "one image" : `${state.images} images at ${places} vertices`;
+      const what = state.images === 1 ? "one image" : `${state.images} images at ${places} ${places === 1 ? "vertex" : "vertices"}`;
       const right = data.truth && data.shapes[from].right[row], off = images.reduce((d, v) => d + apart(target.points, v, right), 0);
       $("p").textContent = `Vertex ${name} of ${names[from]}, ${view}: ${what} on ${names[to]}` +
         (data.truth ? `, ${state.images === 1 ? "" : "mean "}${short(off / images.length / data.unit)} √area off` : "") +

@@ -17,14 +17,12 @@ from scipy.spatial.distance import cdist
 
 from fmsync import checks
 from fmsync.checks import checked
-from fmsync.functional_maps import nearest_rows
-from fmsync.shape import Basis, Shape
-from fmsync.threads import single_threaded_blas
+from fmsync.shape import Shape
 from fmsync.viz.figures import Shown, image_tag
 from fmsync.viz.scenes import AXES, centred, display_mesh, scene
 
 SCRIPT = Path(__file__).with_suffix(".js")
-_MAX_VERTICES = 5000  # of each drawn shape, and as many among which images are sought
+_MAX_VERTICES = 5000  # of each drawn shape
 _MOST_BYTES = 1_000_000
 _GLOW = 0.03  # width of the light about an image in square roots of the area; half of it for a single image
 _RAMP = LinearSegmentedColormap.from_list("glow", ["#c3cbd3", "#f0b43c", "#dd6a1b", "#9c1f45"])  # lightness falls
@@ -163,41 +161,6 @@ def explorer(
     return Explorer(_still(thin, near[0][mark], near[1][images], titles, alt), alt, data)
 
 
-@checked(maps="K n n", vertices=checks.plain)
-def carried(
-    view: str, maps: ArrayLike, bases: Sequence[Basis], vertices: Both, *, noise: float = 0.0, temperature: str = ""
-) -> State:
-    """State of K rotations (K, n, n) between two shapes: images of the vertices to choose from, there and back.
-
-    ``maps`` are draws of C_01, or one map, between two ``bases`` of n functions; back go their transposes. The other
-    arguments are those of a ``State`` and of ``explorer``.
-
-    >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
-    >>> carried("map", [[[1, 0], [0, -1]]], (basis, basis), ([0, 1], [0])).images
-    [array([[1],
-           [0]]), array([[1]])]
-    """
-    there = np.asarray(maps, dtype=float)
-    if there.shape[1:] != (bases[0].n, bases[1].n):
-        raise ValueError(f"maps: expected (K, {bases[0].n}, {bases[1].n}), as large as the bases, got {there.shape}")
-    ways = ((0, 1, there), (1, 0, np.swapaxes(there, 1, 2)))
-    at = [checks.indices(f"vertices[{k}]", vertices[k], bases[k].n_vertices) for k in (0, 1)]
-    images = [images_of(bases[i].eigenfunctions[at[i]], m, bases[j].eigenfunctions) for i, j, m in ways]
-    return State(view, images, noise=noise, temperature=temperature)
-
-
-def images_of(rows: np.ndarray, maps: np.ndarray, functions: np.ndarray) -> np.ndarray:
-    """Vertices (S, K) to which maps (K, n, m) send rows (S, n) of basis functions, by those (V, m) of the other shape.
-
-    Among at most 5,000 vertices, evenly spread over their numbers: as many as are drawn.
-    """
-    count = len(functions)
-    among = np.linspace(0, count - 1, min(count, _MAX_VERTICES)).astype(int)
-    with single_threaded_blas():
-        found = nearest_rows((rows @ maps).reshape(-1, maps.shape[-1]), functions[among])
-    return among[found].reshape(len(maps), -1).T
-
-
 @checked(images="K < V", width=checks.positive)
 def glow(shape: Shape, images: ArrayLike, width: float = _GLOW) -> np.ndarray:
     """Colours (V, 3) that show where the images (K,) of one vertex fall on a shape, e.g. under K draws.
@@ -231,7 +194,7 @@ def _still(shapes: Sequence[Shape], mark: int, images: np.ndarray, titles: list[
     """A state as a picture: the chosen vertex, and the light of its images."""
     source, target = shapes
     colours = [glow(source, []), glow(target, images, _GLOW / 2 if len(images) == 1 else _GLOW)]
-    return scene(shapes, colours, titles, points=[[mark], []], columns=2, alt=alt).png
+    return scene(shapes, colours, titles, points=[[mark], []], alt=alt).png
 
 
 def _check(shapes: Sequence[Shape], vertices: Both, states: Sequence[State], alt: str, truth: Both | None) -> None:

@@ -58,7 +58,7 @@ class Scene(Shown):
     Parameters
     ----------
     data
-        The scene as a zipped vtk.js file, or None where only the still could be drawn.
+        The scene as a zipped vtk.js file, or None of an overview, or where only the still could be drawn.
     rows, columns, titles
         The grid of panels and the title of each.
     colour_bar
@@ -88,9 +88,10 @@ class Scene(Shown):
             )
         grid = f"display:grid;grid-template:repeat({self.rows},1fr)/repeat({self.columns},1fr)"
         titles = "".join(f"<span>{html.escape(t)}</span>" for t in self.titles)
-        note = "" if self.data is not None else f'<figcaption class="fm-note">{_NO_GL}</figcaption>'
+        overview = self.columns > 2
+        note = "" if self.data is not None or overview else f'<figcaption class="fm-note">{_NO_GL}</figcaption>'
         return (
-            f'<figure class="fm-scene" style="margin:0"><div class="fm-stage" '
+            f'<figure class="fm-scene{" fm-overview" if overview else ""}" style="margin:0"><div class="fm-stage" '
             f'data-rows="{self.rows}" data-columns="{self.columns}" '
             f'style="position:relative;background:white;color:black;aspect-ratio:{width}/{height}">{still}{moving}'
             f'<div class="fm-titles" style="position:absolute;inset:0;pointer-events:none;text-align:center;{grid}">'
@@ -116,7 +117,7 @@ def scene(
     label: str = "",
     points: Sequence[ArrayLike] | None = None,
     flat: bool = False,
-    columns: int = 4,
+    columns: int = 2,
 ) -> Scene:
     """Shapes side by side at equal scale, upright (z is up); turning one turns them all.
 
@@ -136,7 +137,7 @@ def scene(
     flat
         Light evenly, so that a colour means the same everywhere: for uncertainties.
     columns
-        Shapes in a row.
+        Shapes in a row. More than two are too small to turn and make an overview, which is a still.
 
     Examples
     --------
@@ -282,7 +283,7 @@ def _draw_vtk(
     camera.reset_clipping_range()
     png = io.BytesIO()
     plotter.screenshot(png)
-    data = _export(plotter.render_window)
+    data = _export(plotter.render_window) if columns <= 2 else None
     plotter.close()
     return png.getvalue(), data
 

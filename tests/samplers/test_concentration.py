@@ -24,7 +24,7 @@ def test_concentration_step_against_quadrature(trace, count):
     table, state = concentration.normaliser_table(3), random_streams.generators(np.random.default_rng(0), 1)[0]
     draws, kappa = np.empty(20_000), 1.0
     for t in range(len(draws)):
-        draws[t] = kappa = concentration.draw_kappa(kappa, trace, count, 3, table, state)
+        draws[t] = kappa = concentration.draw_kappa(kappa, trace, count, 0.0, 3, table, state)
     grid = np.geomspace(1e-6, 1e5, 2500)  # equal steps in log κ: the density gains a factor κ
     density = grid * trace - count * langevin.log_normaliser(3, grid) + np.log(grid)
     weight = np.exp(density - density.max())
@@ -50,7 +50,7 @@ def test_unknown_concentration_of_langevin_noise():
 def test_a_tree_does_not_tell_its_noise():
     truth = data_gen.planted(4, 3, nx.path_graph(4), rng=0)
     tree = data_gen.perturb(truth, 0.1, 1)
-    for options in ({}, {"kappa": "auto"}, {"likelihood": "projected-gaussian"}):
+    for options in ({}, {"kappa": "auto"}, {"likelihood": "projected-gaussian"}, {"likelihood": "by-edge"}):
         with pytest.raises(ValueError, match="tree without repeated edges"):
             fmsync.sample(tree, "heat-bath", **options)
     prior = fmsync.LangevinPrior(truth.absolute, [5.0, 0, 0, 5.0])
@@ -61,10 +61,15 @@ def test_a_tree_does_not_tell_its_noise():
 def test_hyperparameters_need_rotations_and_plain_weights():
     p = noisy()
     stretched = fmsync.SyncProblem(p.n_nodes, p.edges, 1.1 * p.maps)
-    for options in ({"kappa": "auto"}, {"likelihood": "projected-gaussian"}):
+    for options in ({"kappa": "auto"}, {"likelihood": "projected-gaussian"}, {"likelihood": "by-edge"}):
         with pytest.raises(ValueError, match="0 is not a rotation"):
             fmsync.sample(stretched, "heat-bath", **options)
     assert fmsync.sample(stretched, "heat-bath", kappa=2.0, n_draws=1, warmup=0).n_draws == 1
     weighted = fmsync.SyncProblem(p.n_nodes, p.edges, p.maps, np.full(p.n_edges, 2.0))
-    with pytest.raises(ValueError, match="weights"):
-        fmsync.sample(weighted, "heat-bath", likelihood="projected-gaussian")
+    for likelihood in ("projected-gaussian", "by-edge"):
+        with pytest.raises(ValueError, match="weights"):
+            fmsync.sample(weighted, "heat-bath", likelihood=likelihood)
+    with pytest.raises(ValueError, match="infers a concentration for every edge"):
+        fmsync.sample(p, "heat-bath", likelihood="by-edge", kappa=3.0)
+    with pytest.raises(ValueError, match="'hmc' takes 'langevin' alone"):
+        fmsync.sample(p, "hmc", likelihood="by-edge")
