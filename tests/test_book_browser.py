@@ -465,7 +465,7 @@ def test_scenes_draw_and_turn_when_dragged(opened, name):
         stages.nth(k).scroll_into_view_if_needed()
         stages.nth(k).locator("iframe.fm-drawn").wait_for(timeout=30_000)
         assert page.locator("iframe.fm-live").count() <= 6
-        titles = [title.bounding_box() for title in stages.nth(k).locator(".fm-titles span").all()]
+        titles = [title.bounding_box() for title in stages.nth(k).locator(".fm-titles > span").all()]
         assert titles == sorted(titles, key=lambda box: (box["y"], box["x"]))  # as the panels of the still
     stage = stages.first
     stage.scroll_into_view_if_needed()
@@ -492,7 +492,7 @@ def test_shapes_stand_one_above_the_other_on_a_phone(opened):
         stage.scroll_into_view_if_needed()
         if alive:
             stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
-        boxes = [box.bounding_box() for box in stage.locator(".fm-titles span").all()]
+        boxes = [box.bounding_box() for box in stage.locator(".fm-titles > span").all()]
         assert len(boxes) == 2
         assert boxes[0]["x"] == boxes[1]["x"]
         assert boxes[1]["y"] > boxes[0]["y"] + 150
@@ -516,7 +516,7 @@ def test_titles_stand_over_their_shapes_on_a_desktop(opened, alive):
     stage.scroll_into_view_if_needed()
     if alive:
         stage.locator("iframe.fm-drawn").wait_for(timeout=30_000)
-    titles = stage.locator(".fm-titles span")
+    titles = stage.locator(".fm-titles > span")
     _, hot, inferred, _ = (titles.nth(k).bounding_box() for k in range(4))
     assert ["β = 1" in text for text in titles.all_inner_texts()] == [False, True, False, False]
     assert hot["x"] > inferred["x"]
