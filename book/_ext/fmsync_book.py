@@ -99,9 +99,9 @@ def _finish_page(app, pagename, templatename, context, doctree):
         options = app.config.html_theme_options
         for where, address in launch_links(options.get("repository_url"), options.get("repository_branch"), name):
             links.append(f'<a href="{address}">run it on {where}</a>')
-        told = ", ".join(links) + (
-            f" · the cats here are {surroundings()['shapes']}" if "load_collection()" in body else ""
-        )
+        told = ", ".join(links)
+        if "load_collection()" in Path(app.env.doc2path(pagename)).read_text(encoding="utf-8"):
+            told += f" · the cats here are {surroundings()['shapes']}"
         body = body.replace("</h1>", f'</h1>\n<p class="fm-download">{told}</p>', 1)
     context["body"] = body
 
