@@ -155,7 +155,7 @@ def _polygons(rows: Rows, at: int = 0) -> np.ndarray:
 def _stream_of_triangles(data: bytes) -> Mesh | None:
     """An OFF file of nothing but numbers, points and triangles, however they are spread over lines; None otherwise.
 
-    Most files are, and as one stream they are read several times faster than by lines, which say where a fault is.
+    Most files are, and one stream is read faster than lines, which say where a fault is.
     """
     keyword, *words = data.split() or [b""]
     if keyword != b"OFF" or len(words) < 3 or b"#" in data or b"_" in data or not all(map(bytes.isdigit, words[:3])):

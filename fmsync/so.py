@@ -121,7 +121,8 @@ def log(r: np.ndarray) -> np.ndarray:
         near = _may_be_near(part) if few.any() else np.zeros(len(part), bool)
         found = omega[first : first + _AT_ONCE]
         if few.any():
-            found[near], near[near] = _log_series(part[near])
+            asked = np.flatnonzero(near)
+            found[asked], near[asked] = _log_series(part[asked])
         found[~near] = log_eigen_unchecked(part[~near])
     return omega.reshape(r.shape)
 
