@@ -46,7 +46,7 @@ def run_sample(options: argparse.Namespace) -> int:
         raise KeyboardInterrupt
     arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
     arrays["relative_mean"] = post.relative_mean()
-    by_edge = {"edge_weights": post.edge_weights, "edge_kappas": post.edge_kappas}
+    by_edge = {"edge_weights": post.edge_weights, "kappas": post.kappas}
     arrays |= {name: values for name, values in by_edge.items() if values is not None}
     summary = {
         "chains": post.n_chains,

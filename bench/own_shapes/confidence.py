@@ -12,7 +12,7 @@ from data_gen import GroundTruth, perturb
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal
 from fmsync.matching.conformal import default_calibration
-from fmsync.matching.network import basis_signs
+from fmsync.matching.network import basis_signs, trusted_part
 from fmsync.shape import Shape
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
@@ -78,6 +78,22 @@ def observe(
         cheap["embedding distance"].append(np.linalg.norm(at_i - at_j[nearest_rows(at_i, at_j)], axis=1))
         cheap["cycle error"].append(np.full(len(at_i), cycles[i, j]))
     return Observed(synced, evaluation, known, errors, radii, cheap)
+
+
+def likelihoods(loaded: dict[str, list[Shape]], **options) -> dict:
+    """Mean error of the half of the vertices with the smallest radii of draws, over that of all, by likelihood."""
+    found, run = {}, {"warmup": 300, "n_draws": 250, "thin": 4, "rng": 0}
+    for name, shapes in loaded.items():
+        o = observe(shapes, levels=(), n_draws=40, **options)
+        part, errors = trusted_part(o.synced.problem, o.synced.estimate, o.synced.used), np.concatenate(o.errors)
+        found[name] = {}
+        for likelihood in ("langevin", "by-edge", "by-frequency"):
+            posterior = fmsync.sample(part, "heat-bath", likelihood=likelihood, init=o.synced.estimate, **run)
+            drawn = replace(o.synced, posterior=posterior)
+            radii = [o.evaluation.at(i, drawn.confidence(i, j).radius) for i, j in some_pairs(len(shapes), 16)]
+            surer = np.argsort(np.concatenate(radii), kind="stable")[: len(errors) // 2]
+            found[name][likelihood] = errors[surer].mean() / errors.mean()
+    return found
 
 
 def cycle_errors(synced: SyncedShapes) -> np.ndarray:

@@ -18,7 +18,10 @@ from fmsync.so import transpose
 #: Sampler classes by name.
 SAMPLERS: "Registry[Callable[..., Sampler]]" = Registry("sampler", given=("target", "start", "rng"))
 
-_CHOICES = {"likelihood": ("langevin", "projected-gaussian", "mixture", "by-edge"), "energy": ("euclidean", "geodesic")}
+_CHOICES = {
+    "likelihood": ("langevin", "projected-gaussian", "mixture", "by-edge", "by-frequency"),
+    "energy": ("euclidean", "geodesic"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +102,13 @@ class Sampler(Protocol):
 
     ``kappa`` (K,) is the concentration of the observations. A chain whose energy reaches the ``ceiling``, (K,) or one
     for all, has diverged, and ``advice`` says what to do then. ``edge_weights`` (K, E) are the inlier probabilities of
-    the observations, where the likelihood has outliers, and ``edge_kappas`` (K, E) their concentrations, where each has
-    its own.
+    the observations, where the likelihood has outliers, and ``kappas`` (K, E) or (K, n) the concentrations of
+    observations or of basis functions, where each has its own.
     """
 
     kappa: np.ndarray
     edge_weights: np.ndarray | None = None
-    edge_kappas: np.ndarray | None = None
+    kappas: np.ndarray | None = None
     ceiling: np.ndarray | float = np.inf
     advice: str = "the state is not finite"
 

@@ -9,6 +9,11 @@ With a concentration for every observation these are, a priori, independent gamm
 and mean m (before the cut), where log a and log m are uniform on the points :data:`SHAPES` and :data:`MEANS`. Given the
 maps each κ is drawn as above, its density :math:`\kappa^{a-1}\exp(\kappa(T-a/m)-\log c_n(\kappa))` being log-concave
 too; given all κ, m and then a are drawn from their tables. All steps are exact.
+
+With a concentration λ for every basis function, uniform on [0, 1e5] each, :math:`p(Z)\propto\exp\sum\lambda_aZ_{aa}`.
+The normaliser is approximated by :math:`c_n(g)\exp(\sum\lambda_a-ng)`, g the geometric mean of the means of all pairs:
+exact where all λ are equal, for n = 2, and in the limit of small noise, where the entries of log Z are independent and
+normal with variances :math:`1/(\lambda_a+\lambda_b)`.
 """
 
 from functools import cache, cached_property
@@ -17,7 +22,7 @@ import numba
 import numpy as np
 from scipy.special import gammainc, gammaln
 
-from fmsync import langevin
+from fmsync import langevin, so
 from fmsync.problem import SyncProblem
 from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks
@@ -168,7 +173,7 @@ def draw_by_edge(
 
 
 class EdgeConcentrations:
-    """A concentration of every observation, ``by_edge`` (K, E), and the blocks (K, 2E n²) that map sweeps read.
+    """A concentration of every observation, ``kappas`` (K, E), and the blocks (K, 2E n²) that map sweeps read.
 
     ``kappa`` (K,) are the means over the observations, ``prior`` what :func:`draw_by_edge` takes.
     """
@@ -178,9 +183,10 @@ class EdgeConcentrations:
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self._problem = p = target.problem
         if target.kappa is not None:
-            raise ValueError("kappa, beta: likelihood='by-edge' infers a concentration for every edge; leave them out")
+            told = "infers a concentration for every edge or function; leave them out"
+            raise ValueError(f"kappa, beta: likelihood={target.likelihood!r} {told}")
         start = target.matched_kappa("kappa", rng)
-        self.by_edge = np.full((n_chains, p.n_edges), start)
+        self.kappas = np.full((n_chains, p.n if target.likelihood == "by-frequency" else p.n_edges), start)
         self._level = np.tile([len(SHAPES) // 2, np.searchsorted(MEANS, start)], (n_chains, 1))
         a, m = SHAPES[:, None], MEANS
         self.prior = SHAPES, MEANS, a * np.log(a / m) - gammaln(a) - np.log(gammainc(a, a * LARGEST_KAPPA / m))
@@ -189,7 +195,7 @@ class EdgeConcentrations:
 
     @property
     def kappa(self) -> np.ndarray:
-        return self.by_edge.mean(axis=1)
+        return self.kappas.mean(axis=1)
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
         """With ``infer`` new concentrations given the transposed maps x (K, N, n, n); then the blocks.
@@ -199,13 +205,59 @@ class EdgeConcentrations:
         p = self._problem
         for k, (seen, b) in enumerate(zip(traces(p, x), powers)):
             if infer:
-                draw_by_edge(self.by_edge[k], self._level[k], seen, b, p.n, self._table, self.prior, states[k])
-            node_blocks(p.maps, self.by_edge[k] / self.by_edge[k].mean(), p.incidence, self.blocks[k])
+                draw_by_edge(self.kappas[k], self._level[k], seen, b, p.n, self._table, self.prior, states[k])
+            node_blocks(p.maps, self.kappas[k] / self.kappas[k].mean(), p.incidence, self.blocks[k])
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) at transposed maps x (K, N, n, n)."""
-        normalisers = [sum(interpolated_log_normaliser(kappa, self._table) for kappa in own) for own in self.by_edge]
-        return (self.by_edge * traces(self._problem, x)).sum(axis=1) - normalisers
+        normalisers = [sum(interpolated_log_normaliser(kappa, self._table) for kappa in own) for own in self.kappas]
+        return (self.kappas * traces(self._problem, x)).sum(axis=1) - normalisers
+
+
+@numba.njit(cache=True, nogil=True)
+def log_normaliser_by_frequency(own: np.ndarray, table: np.ndarray) -> float:
+    """Of the concentrations λ (n,): approximate, see above."""
+    n, total = len(own), 0.0
+    for a in range(n):
+        for b in range(a):
+            total += np.log((own[a] + own[b]) / 2)
+    mean = np.exp(2 * total / (n * (n - 1)))
+    return own.sum() + interpolated_log_normaliser(mean, table) - n * mean
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_by_frequency(own: np.ndarray, traces: np.ndarray, count: float, table: np.ndarray, state: np.ndarray) -> None:
+    """Metropolis steps of log λ, in place, given the diagonal (n,) of the sum of ``count`` residual rotations."""
+    n = len(own)
+    width = min(7 / np.sqrt(count * max(n - 1, 1)), 3.0)  # of a uniform step; 45 % are accepted
+    before = own @ traces - count * log_normaliser_by_frequency(own, table)
+    for k in range(_UPDATES * n):
+        old, step = own[k % n], width * (2 * uniform(state) - 1)
+        own[k % n] = min(old * np.exp(step), LARGEST_KAPPA)
+        after = own @ traces - count * log_normaliser_by_frequency(own, table)
+        if own[k % n] < LARGEST_KAPPA and np.log(1 - uniform(state)) < after - before + step:
+            before = after
+        else:
+            own[k % n] = old
+
+
+class FrequencyConcentrations(EdgeConcentrations):
+    """A concentration of every basis function, ``kappas`` (K, n), of which ``kappa`` (K,) are the means."""
+
+    def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
+        p = self._problem
+        for own, seen, b, state, blocks in zip(self.kappas, self._traces(x), powers, states, self.blocks):
+            if infer:
+                draw_by_frequency(own, b * seen, b * p.n_edges, self._table, state)
+            node_blocks(p.maps * (own / own.mean()), p.weights, p.incidence, blocks)
+
+    def log_likelihood(self, x: np.ndarray) -> np.ndarray:
+        normalisers = np.array([log_normaliser_by_frequency(own, self._table) for own in self.kappas])
+        return (self.kappas * self._traces(x)).sum(axis=1) - self._problem.n_edges * normalisers
+
+    def _traces(self, x: np.ndarray) -> np.ndarray:
+        i, j = self._problem.edges.T
+        return np.stack([(self._problem.maps * (c[i] @ so.transpose(c[j]))).sum(axis=(0, 1)) for c in x])
 
 
 def traces(problem: SyncProblem, x: np.ndarray) -> np.ndarray:

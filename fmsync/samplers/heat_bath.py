@@ -8,7 +8,7 @@ from fmsync import checks, so
 from fmsync.energy import energy_unchecked as euclidean_energy
 from fmsync.samplers import langevin_kernels, plane_rotations
 from fmsync.samplers.base import Sampler, Target, sampler
-from fmsync.samplers.concentration import Concentration, EdgeConcentrations
+from fmsync.samplers.concentration import Concentration, EdgeConcentrations, FrequencyConcentrations
 from fmsync.samplers.inliers import Inliers
 from fmsync.samplers.polar_factor import PolarFactors
 from fmsync.samplers.random_streams import generators
@@ -22,6 +22,7 @@ _BURN_IN = 100  # sweeps of the warm-up before an unknown κ or σ² moves: chai
 _Latent = PolarFactors | Inliers | EdgeConcentrations
 _LATENT: dict[str, Callable[..., _Latent]] = {
     "projected-gaussian": PolarFactors, "mixture": Inliers, "by-edge": EdgeConcentrations,
+    "by-frequency": FrequencyConcentrations,
 }  # fmt: skip
 
 
@@ -79,8 +80,8 @@ class HeatBath(Sampler):
         return self._latent.probabilities(self._x) if isinstance(self._latent, Inliers) else None
 
     @property
-    def edge_kappas(self) -> np.ndarray | None:  # type: ignore[override]
-        return self._latent.by_edge if isinstance(self._latent, EdgeConcentrations) else None
+    def kappas(self) -> np.ndarray | None:  # type: ignore[override]
+        return self._latent.kappas if isinstance(self._latent, EdgeConcentrations) else None
 
     def energy(self) -> np.ndarray:
         if self._latent is not None:

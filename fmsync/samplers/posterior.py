@@ -20,13 +20,13 @@ class Posterior(Draws):
     ``energy`` is the potential U without the temperature and ``kappa`` the concentration of the observations, 1/σ²
     under the projected Gaussian likelihood. ``interrupted``: Ctrl-C ended the run early; the draws before it are kept.
     ``settings`` are plain values the sampler ran with: step, warm-up, thinning, … ``edge_weights`` (E,) are the
-    posterior inlier probabilities of the observations under the mixture likelihood, and ``edge_kappas`` (chains, draws,
-    E) their concentrations under the likelihood by edge, whose mean over the edges ``kappa`` is; None for the others.
+    posterior inlier probabilities of the observations under the mixture likelihood, and ``kappas`` the concentrations
+    whose mean ``kappa`` is, (chains, draws, E) under the likelihood by edge, (chains, draws, n) by frequency.
     ``modes`` says that chains lie in different modes or that pilots found another one, as :func:`fmsync.sample` warns.
     """
 
     edge_weights: np.ndarray | None = None
-    edge_kappas: np.ndarray | None = None
+    kappas: np.ndarray | None = None
     modes: str = ""
 
     @property

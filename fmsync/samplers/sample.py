@@ -64,9 +64,11 @@ def sample(
       :math:`\log\sigma^2` uniform on [log 1e-5, log 10]. ``"mixture"``, for the same two: an observation is Langevin
       with probability p, uniform a priori, and otherwise a uniformly random rotation; the posterior has the probability
       of every edge in ``edge_weights``. ``"by-edge"``, for the same two: every observation has its own κ, gamma
-      distributed around a common mean, both inferred; its draws are ``edge_kappas``. The last three need observations
-      in SO(n), so that for matrices with noise in every entry, which are not projected, there is ``"langevin"`` with
-      κ = 1/σ² alone.
+      distributed around a common mean, both inferred; its draws are ``kappas``. ``"by-frequency"``, for the same two:
+      :math:`p(C_{ij})\propto\exp\operatorname{tr}(\Lambda C_{ij}^\top C_i^\top C_j)`, a κ for every basis function
+      on the diagonal of Λ, uniform on [0, 1e5]; its draws are ``kappas``, with an approximate normaliser
+      (:mod:`fmsync.samplers.concentration`). The last four need observations in SO(n), so that for matrices with noise
+      in every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
     * ``energy``: ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
       ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
     * ``callback``: called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where
@@ -86,19 +88,19 @@ def sample(
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
-        absolute, energies, kappas, weights, edge_kappas = run_chains(chains, n_draws, warmup, thin, callback)
+        absolute, energies, kappa_draws, weights, kappas = run_chains(chains, n_draws, warmup, thin, callback)
         said = split_chains(problem, absolute)
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
-        piloted = method != "tempered" and likelihood not in ("mixture", "by-edge")
+        piloted = method != "tempered" and likelihood not in ("mixture", "by-edge", "by-frequency")
         looks = n_steps and piloted and chains.settings.get("constrained", True)
         if looks and not said and energies.shape[1] == n_draws:
-            said = unvisited_mode(target, absolute, energies, float(kappas.mean()), n_steps, rng.spawn(1)[0])
+            said = unvisited_mode(target, absolute, energies, float(kappa_draws.mean()), n_steps, rng.spawn(1)[0])
         if said:
             todo = "use method='tempered', which weighs the modes"
             warnings.warn(f"{said}; {todo}", ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
     stopped = energies.shape[1] < n_draws
-    post = Posterior(problem, method, absolute, energies, kappas, stopped, settings, weights, edge_kappas, said)
+    post = Posterior(problem, method, absolute, energies, kappa_draws, stopped, settings, weights, kappas, said)
     checks.unchecked(warn_unless_converged)(post)
     return post
 
@@ -108,13 +110,13 @@ def run_chains(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Rotations (K, T, N, n, n), energies and concentrations (K, T); T < n_draws after Ctrl-C.
 
-    Also the weights (E,) and the concentrations (K, T, E) of the observations, if any.
+    Also the weights (E,) and the concentrations (K, T, E) of the observations, or (K, T, n) of functions, if any.
     """
     n_chains = len(chains.state)
     absolute = np.empty((n_chains, n_draws, *chains.state.shape[1:]))
-    energies, kappas = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
-    done, weights, own = 0, None, chains.edge_kappas
-    edge_kappas = None if own is None else np.empty((n_chains, n_draws, own.shape[1]))
+    energies, kappa_draws = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
+    done, weights, own = 0, None, chains.kappas
+    kappas = None if own is None else np.empty((n_chains, n_draws, own.shape[1]))
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
             for k in range(warmup):
@@ -127,21 +129,21 @@ def run_chains(
                     chains.step(warmup=False)
                     bar.update()
                 energies[:, done] = checked_energy(chains)
-                kappas[:, done] = chains.kappa
+                kappa_draws[:, done] = chains.kappa
                 absolute[:, done] = chains.draw()
                 if (new := chains.edge_weights) is not None:
                     mean = new.mean(axis=0)
                     weights = mean if weights is None else weights + (mean - weights) / (done + 1)
-                if edge_kappas is not None:
-                    edge_kappas[:, done] = chains.edge_kappas
+                if kappas is not None:
+                    kappas[:, done] = chains.kappas
                 if callback is not None:
                     callback(done, chains.state, energies[:, done])
                 done += 1
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    of_edges = None if edge_kappas is None else edge_kappas[:, :done]
-    return absolute[:, :done], energies[:, :done], kappas[:, :done], weights, of_edges
+    kappas = None if kappas is None else kappas[:, :done]
+    return absolute[:, :done], energies[:, :done], kappa_draws[:, :done], weights, kappas
 
 
 def checked_energy(chains: Sampler) -> np.ndarray:

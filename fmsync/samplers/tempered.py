@@ -70,8 +70,8 @@ class Tempered(Sampler):
         return None if weights is None else weights[self._cold()]
 
     @property
-    def edge_kappas(self) -> np.ndarray | None:  # type: ignore[override]
-        kappas = self._replicas.edge_kappas
+    def kappas(self) -> np.ndarray | None:  # type: ignore[override]
+        kappas = self._replicas.kappas
         return None if kappas is None else kappas[self._cold()]
 
     @property

@@ -50,7 +50,13 @@ def test_unknown_concentration_of_langevin_noise():
 def test_a_tree_does_not_tell_its_noise():
     truth = data_gen.planted(4, 3, nx.path_graph(4), rng=0)
     tree = data_gen.perturb(truth, 0.1, 1)
-    for options in ({}, {"kappa": "auto"}, {"likelihood": "projected-gaussian"}, {"likelihood": "by-edge"}):
+    for options in (
+        {},
+        {"kappa": "auto"},
+        {"likelihood": "projected-gaussian"},
+        {"likelihood": "by-edge"},
+        {"likelihood": "by-frequency"},
+    ):
         with pytest.raises(ValueError, match="tree without repeated edges"):
             fmsync.sample(tree, "heat-bath", **options)
     prior = fmsync.LangevinPrior(truth.absolute, [5.0, 0, 0, 5.0])
@@ -61,12 +67,17 @@ def test_a_tree_does_not_tell_its_noise():
 def test_hyperparameters_need_rotations_and_plain_weights():
     p = noisy()
     stretched = fmsync.SyncProblem(p.n_nodes, p.edges, 1.1 * p.maps)
-    for options in ({"kappa": "auto"}, {"likelihood": "projected-gaussian"}, {"likelihood": "by-edge"}):
+    for options in (
+        {"kappa": "auto"},
+        {"likelihood": "projected-gaussian"},
+        {"likelihood": "by-edge"},
+        {"likelihood": "by-frequency"},
+    ):
         with pytest.raises(ValueError, match="0 is not a rotation"):
             fmsync.sample(stretched, "heat-bath", **options)
     assert fmsync.sample(stretched, "heat-bath", kappa=2.0, n_draws=1, warmup=0).n_draws == 1
     weighted = fmsync.SyncProblem(p.n_nodes, p.edges, p.maps, np.full(p.n_edges, 2.0))
-    for likelihood in ("projected-gaussian", "by-edge"):
+    for likelihood in ("projected-gaussian", "by-edge", "by-frequency"):
         with pytest.raises(ValueError, match="weights"):
             fmsync.sample(weighted, "heat-bath", likelihood=likelihood)
     with pytest.raises(ValueError, match="infers a concentration for every edge"):

@@ -88,11 +88,11 @@ def test_triangle_of_so2_against_quadrature(method):
     more = {"n_temperatures": 3, "hottest": 0.2} if method == "tempered" else {}
     options = {"likelihood": "by-edge", "n_chains": 24, "n_draws": 700, "warmup": 150, "init": "random"}
     post = fmsync.sample(p, method, **options, **more)
-    for values, wanted in ((post.energy, energy), (np.log(post.edge_kappas[:, :, 2]), logarithm)):
+    for values, wanted in ((post.energy, energy), (np.log(post.kappas[:, :, 2]), logarithm)):
         mean, error = mean_and_error(values)
         assert abs(mean - wanted / total) < 5 * error
         assert error < 0.1
-    np.testing.assert_allclose(post.edge_kappas.mean(axis=2), post.kappa)
+    np.testing.assert_allclose(post.kappas.mean(axis=2), post.kappa)
 
 
 def planted(rng, n_nodes, n, kappas):
@@ -115,7 +115,7 @@ def ranks(n_problems, factor=1.0):
         kappas = rng.gamma(a, m / a, 10)
         truth, p = planted(rng, 5, 3, factor * kappas)
         post = fmsync.sample(p, "heat-bath", likelihood="by-edge", rng=rng, **run)
-        every = np.concatenate([post.edge_kappas[0], kappas[None]])
+        every = np.concatenate([post.kappas[0], kappas[None]])
         relative = np.concatenate([post.relative()[0], truth.maps[None]])
         traces = np.einsum("eab,deab->de", p.maps, relative)
         values = (every * traces - langevin.log_normaliser(3, every)).sum(axis=1)
@@ -153,10 +153,10 @@ def test_planted_concentrations_are_recovered():
             post = fmsync.sample(p, "heat-bath", likelihood=likelihood, n_draws=300, warmup=200, rng=seed)
             found.append(np.linalg.norm(post.relative_mean() - truth.maps))
             if likelihood == "by-edge":
-                draws = post.edge_kappas.reshape(-1, p.n_edges)
+                draws = post.kappas.reshape(-1, p.n_edges)
                 low, high = np.quantile(draws, (0.05, 0.95), axis=0)
                 covered.append(((low < kappas) & (kappas < high)).mean())
                 assert np.corrcoef(np.log(draws.mean(axis=0)), np.log(kappas))[0, 1] > 0.9
     assert abs(np.mean(covered) - 0.9) < 4.5 * np.sqrt(0.09 / (3 * 28))
     assert (np.array(errors["by-edge"]) < 0.95 * np.array(errors["langevin"])).all()
-    assert post.edge_kappas is None
+    assert post.kappas is None
