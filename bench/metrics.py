@@ -1,6 +1,8 @@
 """The numbers that tables of the suites show: their names, units and how exactly another machine repeats them."""
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -14,8 +16,7 @@ class Metric:
     """A number that tables show, and how :mod:`bench.verify` compares it with the number of another run.
 
     ``direction`` says which way is better: "lower", "higher", or "none". ``tolerance`` is relative, between processors;
-    None for what the load decides, which is not compared. ``few_edges``: whether it is a share of the edges of one
-    problem, which cross a threshold together: that runs all give the same one does not show that no run gives another.
+    None for what is not compared; ``few_edges`` marks a share of the edges of one problem (see ``metrics.toml``).
     """
 
     name: str
@@ -29,28 +30,9 @@ class Metric:
         return self.tolerance * abs(value) + _ROUNDING
 
 
-# 315 runs of all methods but samplers were computed on an Intel Xeon (the tables), on an AMD EPYC, and on the latter in
-# the arithmetic of an old processor. In 298 of them every metric differs by less than 1e-8 of its value, or less than
-# 1e-12: no metric is ill-conditioned by itself, and all have the same tolerance. The other 17 runs are ill-conditioned
-# as a whole, because of the method (linear programs with many solutions, nearest vertices) or of the problem (two
-# minima). `bench.verify` finds out which runs these are by moving the last digits of their observations.
-METRICS = {
-    metric.name: metric
-    for metric in (
-        *(Metric(f"{name}_error", "Frobenius", "lower") for name in ("edge", "pair", "cycle")),
-        *(Metric(name, "Frobenius", "lower") for name in ("edge_rms", "pair_rms", "energy_score", "error_at_step")),
-        *(Metric(name, "Frobenius", "none") for name in ("floor_rms", "expected_rms")),
-        *(Metric(f"coverage_{round(100 * level)}", "share", "none", few_edges=True) for level in LEVELS),
-        Metric("calibration_error", "share", "lower", few_edges=True),
-        *(Metric(name, "1/(1+Frobenius)", "higher") for name in ("oracle_accuracy", "accuracy_at_draws")),
-        Metric("point_error", "sqrt(area)", "lower"),
-        *(Metric(name, "share", "higher") for name in ("point_curve", "point_area")),
-        Metric("ess_per_second", "1/s", "higher", tolerance=None),
-        *(Metric(name, "s", "lower", tolerance=None) for name in ("seconds", "cpu_seconds")),
-        Metric("peak_memory", "MB", "lower", tolerance=None),
-        Metric("at_once", "cells", "none", tolerance=None),  # of tables made when chains of several seeds were a batch
-    )
-}
+_TOLD = tomllib.loads(Path(__file__).with_name("metrics.toml").read_text(encoding="utf-8"))
+METRICS = {name: Metric(name, **told) for name, told in _TOLD["compared"].items()}
+METRICS |= {name: Metric(name, **told, tolerance=None) for name, told in _TOLD["not_compared"].items()}
 
 
 def frobenius_errors(maps: np.ndarray, truth: np.ndarray) -> np.ndarray:

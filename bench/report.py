@@ -13,7 +13,13 @@ from fmsync.bounds import is_small_error, recovery_threshold
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
 _MOST_PANELS = 6
-_SHORT = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
+_SUMMARIES = (
+    (["problem", "label"], ("seconds", "cpu_seconds", "peak_memory"), "median"),
+    (["problem", "label"], ("edge_rms",), root_mean_square),
+    (["problem"], ("floor_rms", "expected_rms"), "mean"),
+)
+_SHORT = {"mean": "error", "edge_rms": "rms", "cpu_seconds": "cpu", "peak_memory": "memory"}
+_SHORT |= {"floor_rms": "floor", "expected_rms": "expected"}
 _BOARD = ["problem", "label", "error", "low", "high", "rms", "seconds", "cpu", "memory", "failed", "floor", "expected"]
 
 
@@ -97,19 +103,12 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     bound_valid as in :func:`table1`.
     """
     scalar, keys = frame[frame["at"].isna()], ["problem", "label"]
-
-    def values(by: list[str], *names: str) -> pd.DataFrame:
-        rows = scalar[scalar.metric.isin(names)]
-        return rows.groupby([*by, "metric"])["value"].agg(summaries[names[0]]).unstack("metric").reset_index()
-
-    summaries = {"seconds": "median", "edge_rms": root_mean_square, "floor_rms": "mean"}
     runs = frame.drop_duplicates([*keys, "seed"])
-    failed = (runs.status != "ok").groupby([runs.problem, runs.label]).sum().rename("failed").reset_index()
-    errors = results.summarise(scalar, keys, "edge_error").rename(columns={"mean": "error"})
-    table = failed.merge(errors, how="left", on=keys)
-    table = table.merge(values(keys, "seconds", "cpu_seconds", "peak_memory"), how="left", on=keys)
-    table = table.merge(values(keys, "edge_rms").rename(columns={"edge_rms": "rms"}), how="left", on=keys)
-    table = table.merge(values(["problem"], "floor_rms", "expected_rms"), how="left", on="problem")
+    table = (runs.status != "ok").groupby([runs.problem, runs.label]).sum().rename("failed").reset_index()
+    table = table.merge(results.summarise(scalar, keys, "edge_error"), how="left", on=keys)
+    for by, names, mean in _SUMMARIES:
+        values = scalar[scalar.metric.isin(names)].pivot_table("value", by, "metric", mean)
+        table = table.merge(values, how="left", on=by)
     table = table.rename(columns=_SHORT).reindex(columns=_BOARD)
     sizes = table.problem.map(lambda problem: json.loads(problem).get("n", np.nan))
     table["bound_valid"] = [_holds(n, floor) for n, floor in zip(sizes, table.floor)]
