@@ -67,17 +67,15 @@ def matched(shapes: list[fmsync.Shape], images: dict[str, np.ndarray]) -> Figure
         for v, bad in zip(seen, wrong):
             line = pv.Line(left[v], right[image[v]]).tube(radius=0.003 * np.ptp(right))
             plotter.add_mesh(line, color=WRONG if bad else RIGHT)
-        plotter.camera.position, plotter.camera.focal_point = middle + 10 * AXES[:, 2], middle
-        plotter.camera.up = (0, 0, 1)
+        plotter.camera_position = (middle + 10 * AXES[:, 2], middle, (0, 0, 1))
         plotter.enable_parallel_projection()
         plotter.camera.parallel_scale = 0.52 * np.ptp(up)
         plotter.camera.reset_clipping_range()
         ax.imshow(plotter.screenshot(return_img=True))
         plotter.close()
         ax.set_axis_off()
-        ax.set_title(
-            f"{name}: {np.mean(~wrong):.0%} of the lines end near their place", color=WRONG if wrong.any() else RIGHT
-        )
+        told = f"{name}: {np.mean(~wrong):.0%} of the lines end near their place"
+        ax.set_title(told, color=WRONG if wrong.any() else RIGHT)
     return fig
 
 
@@ -97,23 +95,15 @@ def posterior(shapes: list[fmsync.Shape], vertex: int, images: np.ndarray) -> Fi
 def calibration(coverage: pd.DataFrame) -> Figure:
     """What regions promise and what they hold, for the noise of the paper."""
     fig, ax = plt.subplots(figsize=(5, 4))
-    promised = (0.5, 0.8, 0.9, 0.95)
-    names = {
-        "projected-gaussian": "the exact likelihood",
-        "langevin": "Langevin likelihood, κ inferred",
-        "beta = 1": "β = 1",
-    }
-    rows = coverage[coverage.noise == "projected-gaussian"]
-    for (model, label), colour in zip(names.items(), ("C2", "C0", "C1")):
+    promised, rows = (0.5, 0.8, 0.9, 0.95), coverage[coverage.noise == "projected-gaussian"]
+    models = ("projected-gaussian", "langevin", "beta = 1")
+    labels = ("the exact likelihood", "Langevin likelihood, κ inferred", "β = 1")
+    for model, label, colour in zip(models, labels, ("C2", "C0", "C1")):
         held = rows[rows.model == model][[f"{q:g}" for q in promised]]
         ax.plot(promised, held.T, "o-", color=colour, label=[label] + [None] * (len(held) - 1))
     ax.plot((0.45, 1), (0.45, 1), "k--")
-    ax.set(
-        xlabel="promised",
-        ylabel="share of true maps held",
-        ylim=(0.4, 1.03),
-        title="Do regions hold what they promise?",
-    )
+    ax.set(xlabel="promised", ylabel="share of true maps held", ylim=(0.4, 1.03))
+    ax.set_title("Do regions hold what they promise?")
     ax.legend(loc="lower right")
     return fig
 
@@ -142,10 +132,8 @@ def main() -> None:
         options = {"n_chains": 2, "n_draws": 50, "thin": 3, "warmup": 300, "likelihood": "projected-gaussian"}
         draws = fmsync.sample(noisy, "heat-bath", **options).relative([pair]).reshape(-1, truth.n, truth.n)
     bases, two, paw = [truth.bases[k] for k in pair], [shapes[k] for k in pair], data_gen.front_paw(shapes[0])
-    maps = {
-        "observed": noisy.maps[noisy.edges.tolist().index(pair)],
-        "synchronised": fmsync.solve(noisy).relative([pair])[0],
-    }
+    maps = {"observed": noisy.maps[noisy.edges.tolist().index(pair)]}
+    maps["synchronised"] = fmsync.solve(noisy).relative([pair])[0]
     solves = pd.DataFrame(json.loads((ROOT / "results" / "speed.json").read_text())["speed"]["solves"])
     figures = {
         "overview": draw_overview.three_panels(draw_overview.compute()),

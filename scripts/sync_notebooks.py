@@ -30,6 +30,7 @@ _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
 _NUMBERED = re.compile(r"\{(?:numref|prf:ref)\}`([\w-]+)`")
+_EXERCISE = re.compile(r"(\{exercise\}(?=\n:)|\{solution-start\})(?:\n:label:)? ([\w-]+)")
 _KINDS = {"fig": "Fig.", "tab": "Table", "thm": "Theorem", "def": "Definition", "rem": "Remark", "ex": "Exercise"}
 _LABELS = re.compile(rf"(?:name|label): (({'|'.join(_KINDS)})-[\w-]+)$", re.MULTILINE)
 _STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
@@ -103,11 +104,7 @@ def _plain(found: re.Match) -> str:
 @cache
 def _titles() -> dict[str, str]:
     pages = {md.stem: re.search(r"^# (.+)$", md.read_text(encoding="utf-8"), re.MULTILINE) for md in BOOK.rglob("*.md")}
-    return {
-        name: _ROLES.sub(lambda found: found["text"] or found["target"], head[1])
-        for name, head in pages.items()
-        if head
-    }
+    return {name: _ROLES.sub(lambda f: f["text"] or f["target"], head[1]) for name, head in pages.items() if head}
 
 
 @cache
@@ -147,19 +144,15 @@ def render(md: Path) -> str:
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
     called = _called(md)
-    named = _elsewhere() | called
-    notebook.cells = _captioned(notebook.cells, called)
+    notebook.cells, named = _captioned(notebook.cells, called), _elsewhere() | called
     for k, cell in enumerate(notebook.cells):
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
-            cell["outputs"], cell["execution_count"] = [], None
             if "hide-input" in cell["metadata"].get("tags", ()):
                 cell["metadata"]["jupyter"] = {"source_hidden": True}
         else:
             text = _NUMBERED.sub(lambda found: named[found[1]], cell["source"])
-            text = re.sub(r"(\{exercise\})\n:label: ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
-            text = re.sub(r"(\{solution-start\}) ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
-            cell["source"] = readable(text)
+            cell["source"] = readable(_EXERCISE.sub(lambda found: f"{found[1]} {named[found[2]]}", text))
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     nbformat.validate(notebook)
     return nbformat.writes(notebook) + "\n"
