@@ -1,4 +1,4 @@
-"""Poses: joint angles bend the skeleton, the skin follows as rigidly as it can, muscles swell and slacken.
+"""The cat and its poses: joint angles bend the skeleton, the skin follows rigidly, muscles swell and slacken.
 
 The joint angles of a pose are a mapping ``joint name -> (roll, pitch, yaw)`` in degrees about the x, y and z axes of
 the resting cat, applied at the joint and inherited by everything beyond it. Positive pitch turns the nose down and a
@@ -8,21 +8,36 @@ as mirror images. Its muscle tone is one number a bone: how much thicker than at
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data_gen.body import Bone, Cone, Pose, cone_distance
-from data_gen.cat_body import cat_body
+from data_gen.body import Body, Bone, Cone, Pose, cone_distance
 from data_gen.self_intersection import self_intersections
+from fmsync.shape import triangle_areas, vertex_areas
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
 _TONE = 0.142  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
 _LIMBS = {"fore": ("upper arm", "forearm", "hand"), "hind": ("thigh", "shin", "foot", "toes")}
+
+
+def _read(name: str) -> dict:
+    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
+@cache
+def cat_body() -> Body:
+    """Both sides of the cat at rest, see ``cat_body.toml``; trunk and head together are about one unit long."""
+    told = _read("cat_body.toml")
+    bones = [Bone(name, parent or None, tuple(joint)) for name, parent, joint in told["bones"]]
+    body = Body(told["blend"], bones, [[Cone(*cone) for cone in part] for part in told["parts"]])
+    body.mirror()
+    return body
 
 
 def _angles(told: Mapping[str, list[float]]) -> Pose:
@@ -46,8 +61,7 @@ def _angles(told: Mapping[str, list[float]]) -> Pose:
     return pose
 
 
-_TOLD = tomllib.loads(Path(__file__).with_name("cat_poses.toml").read_text(encoding="utf-8"))
-POSES = {name: _angles(told) for name, told in _TOLD.items()}
+POSES = {name: _angles(told) for name, told in _read("cat_poses.toml").items()}
 
 
 def muscle_tone(k: int) -> np.ndarray:
@@ -175,19 +189,13 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _cotangents(vertices, faces):
     """Stiffness matrix with non-negative weights (V, V), and vertex areas (V,)."""
-    entries, n = [], len(vertices)
-    corners = vertices[faces]
-    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        cosine = ((corners[:, i] - corners[:, k]) * (corners[:, j] - corners[:, k])).sum(1)
-        entries.append((faces[:, i], faces[:, j], 0.5 * cosine / double_area))
-    rows, columns, values = (np.concatenate(part) for part in zip(*entries))
-    half = coo_array((values, (rows, columns)), shape=(n, n))
+    corners, i, j = vertices[faces], [1, 2, 0], [2, 0, 1]
+    cosines = ((corners[:, i] - corners) * (corners[:, j] - corners)).sum(axis=2)  # (F, 3)
+    values = 0.25 * cosines.T / triangle_areas(vertices, faces)
+    half = coo_array((values.ravel(), (faces.T[i].ravel(), faces.T[j].ravel())), shape=(len(vertices),) * 2)
     weights = (half + half.T).tocsr()
     weights.data = np.maximum(weights.data, 1e-3)  # obtuse pairs would make the energy indefinite
-    areas = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), minlength=n)
-    return (diags_array(weights.sum(axis=1)) - weights).tocsc(), areas
+    return (diags_array(weights.sum(axis=1)) - weights).tocsc(), vertex_areas(vertices, faces)
 
 
 def _skinning_weights(vertices, stiffness, areas, names, flesh):
