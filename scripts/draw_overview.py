@@ -6,8 +6,8 @@ every pair observed once with the noise of the paper at σ² = 0.1; three cats a
 
 import io
 import os
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -32,18 +32,10 @@ _CAPTIONS = (
 )
 
 
-@dataclass(frozen=True)
-class Story:
-    """What the picture shows: for observed and synchronised maps, their matrices and colours; and the spread."""
-
-    shapes: list[fmsync.Shape]
-    matrices: dict[str, list[np.ndarray]]  # of the pairs (0, 1), (1, 2), (2, 0) of the shown shapes
-    colours: dict[str, list[np.ndarray]]  # (V, 3) for each shown shape
-    spread: np.ndarray  # (V,) of the last shape, √area
-
-
-def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> Story:
-    """Plant, observe, solve and sample."""
+def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> SimpleNamespace:
+    """Plant, observe, solve and sample: the shown ``shapes``; by "observed" and "synchronised" the ``matrices`` of the
+    pairs (0, 1), (1, 2), (2, 0) and the ``colours`` (V, 3) of each shape; the ``spread`` (V,) on the last one, √area.
+    """
     shapes = data_gen.load_collection("cats", n_vertices=n_vertices)
     truth = data_gen.ground_truth(shapes)
     problem = data_gen.perturb(truth, sigma2=0.1, rng=1)
@@ -66,7 +58,8 @@ def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> St
     there = shapes[a].normalised().vertices
     images = np.stack([there[fmsync.point_map(d, truth.bases[c], truth.bases[a])] for d in draws])  # (T, V, 3)
     spread = np.sqrt(((images - images.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
-    return Story([shapes[k] for k in SHOWN], {name: of(loop) for name, of in maps.items()}, colours, spread)
+    told = {"matrices": {name: of(loop) for name, of in maps.items()}, "colours": colours, "spread": spread}
+    return SimpleNamespace(shapes=[shapes[k] for k in SHOWN], **told)
 
 
 def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> viz.Explorer:
@@ -115,7 +108,7 @@ def draw_cat(ax: Axes, shape: fmsync.Shape, values: np.ndarray, centre: tuple, s
     ax.imshow(picture, extent=extent, interpolation="antialiased", zorder=3)
 
 
-def triangle(ax: Axes, story: Story, name: str) -> None:
+def triangle(ax: Axes, story: SimpleNamespace, name: str) -> None:
     """Three cats, the maps between them, and whether their product around the triangle is the identity."""
     for shape, colours, centre in zip(story.shapes, story.colours[name], _PLACES):
         draw_cat(ax, shape, colours, centre, 0.4)
@@ -130,18 +123,13 @@ def triangle(ax: Axes, story: Story, name: str) -> None:
     ax.text(0.5, 0.355, closes, ha="center", va="center", fontsize=20, color=_INK)
 
 
-def panel(story: Story, which: int, ax: Axes) -> None:
-    """Draw one of the three panels; the last is a cat coloured by how far the draws send each vertex apart."""
-    ax.set_axis_off()
-    if which < 2:
-        triangle(ax, story, ("observed", "synchronised")[which])
-    else:
-        limit = float(np.quantile(story.spread, 0.98))
-        draw_cat(ax, story.shapes[-1], story.spread, (0.5, 0.56), 0.8, clim=(0, limit), flat=True)
-        ax.imshow(np.linspace(0, 1, 256)[None], cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
-        ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
-        ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
-    ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+def certainty(ax: Axes, story: SimpleNamespace) -> None:
+    """A cat coloured by how far the draws send each vertex apart."""
+    limit = float(np.quantile(story.spread, 0.98))
+    draw_cat(ax, story.shapes[-1], story.spread, (0.5, 0.56), 0.8, clim=(0, limit), flat=True)
+    ax.imshow(np.linspace(0, 1, 256)[None], cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
+    ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
+    ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
 
 
 def save(fig: Figure, path: Path) -> None:
@@ -152,12 +140,16 @@ def save(fig: Figure, path: Path) -> None:
     Image.open(raw).convert("RGB").save(path, optimize=True)
 
 
-def three_panels(story: Story) -> Figure:
+def three_panels(story: SimpleNamespace) -> Figure:
     """The whole picture, with a caption under each panel."""
     fig, axes = plt.subplots(1, 3, figsize=(9.6, 3.7), dpi=96, layout="none")
     fig.subplots_adjust(0, 0.12, 1, 1, 0.02, 0)
-    for k, (axis, caption) in enumerate(zip(axes, _CAPTIONS)):
-        panel(story, k, axis)
+    triangle(axes[0], story, "observed")
+    triangle(axes[1], story, "synchronised")
+    certainty(axes[2], story)
+    for axis, caption in zip(axes, _CAPTIONS):
+        axis.set_axis_off()
+        axis.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
         axis.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
     return fig
 

@@ -8,6 +8,7 @@ and year). A first cell says how to install, and defines the macros of the formu
 import argparse
 import re
 import sys
+import tomllib
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -18,14 +19,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK = ROOT / "book"
-_COLAB = """# Google Colab only: fetch the project and what it needs. Elsewhere this cell does nothing.
-import sys
-
-if "google.colab" in sys.modules:
-    !git clone -q --depth 1 --branch {branch} {url} /content/project
-    %cd -q /content/project/book/notebooks
-    %pip install -q -e "/content/project[bench]"
-    sys.path.insert(0, "/content/project")"""
+_CELLS = tomllib.loads(Path(__file__).with_name("first_cells.toml").read_text(encoding="utf-8"))
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
@@ -34,10 +28,6 @@ _EXERCISE = re.compile(r"(\{exercise\}(?=\n:)|\{solution-start\})(?:\n:label:)? 
 _KINDS = {"fig": "Fig.", "tab": "Table", "thm": "Theorem", "def": "Definition", "rem": "Remark", "ex": "Exercise"}
 _LABELS = re.compile(rf"(?:name|label): (({'|'.join(_KINDS)})-[\w-]+)$", re.MULTILINE)
 _STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
-_FIRST = """*A chapter of the fmsync book. To run it in any folder, install the project once from its checkout:*
-`pip install -e "PATH/TO/fmsync[bench]"`
-
-{macros}"""
 
 
 def chapters(book: Path = BOOK) -> dict[str, Path]:
@@ -138,9 +128,9 @@ def repository() -> dict[str, str]:
 def render(md: Path) -> str:
     """The notebook of one chapter as the text of its .ipynb file."""
     notebook, home = jupytext.read(md), repository()
-    notebook.cells.insert(0, nbformat.v4.new_markdown_cell(_FIRST.format(macros=_macros())))
+    notebook.cells.insert(0, nbformat.v4.new_markdown_cell(_CELLS["first"].format(macros=_macros())))
     if home["url"]:
-        notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(_CELLS["colab"].format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
     called = _called(md)

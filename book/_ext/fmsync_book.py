@@ -1,21 +1,27 @@
-"""This book for Sphinx: executable pages and their cache, which goes stale; no network; links to notebooks."""
+"""This book for Sphinx: executable pages and their cache, which goes stale; no network; links to notebooks; the stages."""
 
 import hashlib
 import importlib.util
 import os
 import platform
 import shutil
+import tomllib
 from pathlib import Path
 
 import yaml
+from docutils import nodes
 from myst_nb.core.read import read_myst_markdown_notebook
 from nbformat import NotebookNode
 from sphinx.application import Sphinx
+from sphinx.errors import SphinxError
+from sphinx.util.docutils import SphinxDirective
 from sphinx.util.fileutil import copy_asset_file
 
 from bench.provenance import machine
 
 ROOT = Path(__file__).resolve().parents[2]
+_DRAWN = tomllib.loads(Path(__file__).with_name("stages.toml").read_text(encoding="utf-8"))
+_STAGES = _DRAWN.pop("stages")  # of the method, by name; what is left are outlines of cats
 
 
 def cache_folder() -> Path:
@@ -88,7 +94,7 @@ def _copy_assets(app):
 
 def _finish_page(app, pagename, templatename, context, doctree):
     if "script_files" in context:  # sphinx-thebe declares its constants twice (a page error) and would call a CDN
-        context["script_files"][:] = [script for script in context["script_files"] if not _is_thebe(script)]
+        context["script_files"][:] = [script for script in context["script_files"] if "thebe" not in str(script)]
     body = context.get("body", "")
     for role in (' role="list"', ' role="doc-biblioentry"'):  # a list may hold items only; these hold links as well
         body = body.replace(role, "")
@@ -104,11 +110,6 @@ def _finish_page(app, pagename, templatename, context, doctree):
             told += f" · the cats here are {surroundings()['shapes']}"
         body = body.replace("</h1>", f'</h1>\n<p class="fm-download">{told}</p>', 1)
     context["body"] = body
-
-
-def _is_thebe(script) -> bool:
-    body = getattr(script, "attributes", {}).get("body") or ""
-    return "THEBE_JS_URL" in body or "sphinx-thebe" in str(getattr(script, "filename", script) or "")
 
 
 def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[str, str]]:
@@ -129,7 +130,32 @@ def launch_links(url: str | None, branch: str | None, name: str) -> list[tuple[s
     ]
 
 
+class Stages(SphinxDirective):
+    """``{stages} maps``: a row of small drawings, which lead to chapters; the stage *maps*, if named, is highlighted.
+
+    They are drawn in the colour of the text, so that the row suits both themes.
+    """
+
+    optional_arguments = 1
+
+    def run(self):
+        here = self.arguments[0] if self.arguments else None
+        if here not in (None, *_STAGES):
+            raise SphinxError(f"{self.env.docname}: no stage {here!r} of the method; there are {', '.join(_STAGES)}")
+        folder, items = "" if self.env.docname.startswith("chapters/") else "chapters/", []
+        for name, stage in _STAGES.items():
+            current = ' aria-current="step"' if name == here else ""
+            drawing = stage["drawing"].format(**_DRAWN)
+            items.append(
+                f'<li><a href="{folder}{stage["chapter"]}.html"{current}>'
+                f'<svg viewBox="0 0 120 94" aria-hidden="true" focusable="false">{drawing}</svg>{name}</a></li>'
+            )
+        row = f'<ol class="fm-stages" aria-label="The stages of the method">{"".join(items)}</ol>'
+        return [nodes.raw("", row, format="html")]
+
+
 def setup(app: Sphinx):
+    app.add_directive("stages", Stages)
     app.connect("config-inited", _configure)
     app.connect("builder-inited", _copy_assets)
     app.connect("html-page-context", _finish_page, priority=900)

@@ -141,17 +141,10 @@ class Figures(SphinxDirective):
         return [figure_list()]
 
 
-def _pages_below(env, page):
-    """A page and those below it, in the order of the contents."""
-    yield page
-    for below in env.toctree_includes.get(page, ()):
-        yield from _pages_below(env, below)
-
-
 def _fill(app, doctree, docname):
     for place in doctree.findall(figure_list):
         rows = nodes.bullet_list()
-        for page in _pages_below(app.env, app.config.root_doc):
+        for page in app.env.collect_relations():  # in the order of the contents
             numbers = app.env.toc_fignumbers.get(page, {})
             for figure in app.env.get_doctree(page).findall(nodes.figure):
                 kind = "table" if isinstance(figure, captioned_table) else "figure"
