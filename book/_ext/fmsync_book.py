@@ -1,4 +1,4 @@
-"""This book for Sphinx: executable pages and their cache, which goes stale; no network; links to notebooks; the stages."""
+"""This book for Sphinx: executable pages, a cache that goes stale, no network, links to notebooks, a row of stages."""
 
 import hashlib
 import importlib.util
