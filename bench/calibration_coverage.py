@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.results / "calibration_problems.csv"
     right = [noise == model for noise, _, model in CASES]
     todo = [(*c, k) for k in range(options.problems) for c, r in zip(CASES, right) if r or k % _WRONG_EVERY == 0]
-    fill(path, _FIELDS, todo, one, options.jobs, options.minutes)
+    fill(path, _FIELDS, todo, one, options.jobs)
     made = table(pd.read_csv(path))
     made.round(4).to_csv(options.results / "calibration_coverage.csv", index=False)
     print(made.round(3).to_string(index=False))

@@ -13,6 +13,8 @@ from fmsync.bounds import is_small_error, recovery_threshold
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
 _MOST_PANELS = 6
+_LEGEND = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
+_LEGEND += "threshold; (bound) = errors are too large for it"
 _SUMMARIES = (
     (["problem", "label"], ("seconds", "cpu_seconds", "peak_memory"), "median"),
     (["problem", "label"], ("edge_rms",), root_mean_square),
@@ -134,7 +136,9 @@ def report(frame: pd.DataFrame) -> str:
         told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
     lines = ["\n".join(told)]
     if _is_paper(frame):
-        lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
+        for variant in protocol_variants(frame):
+            wide = beside(table1(frame, **variant), interval=True)
+            lines.append(f"{variant_name(**variant)}\n{_LEGEND}\n{wide.to_string()}")
     else:
         for problem, group in scoreboard(frame).groupby("problem", sort=False):
             shown = group.assign(bound=bracketed(group)).drop(columns=["problem", "floor", "bound_valid"])
@@ -170,12 +174,6 @@ def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
 
 def _is_paper(frame: pd.DataFrame) -> bool:
     return bool(frame.suite.str.startswith("paper").all())
-
-
-def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
-    legend = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
-    wide = beside(table1(frame, **variant), interval=True)
-    return f"{variant_name(**variant)}\n{legend}threshold; (bound) = errors are too large for it\n{wide.to_string()}"
 
 
 def _named(problem: str) -> str:
