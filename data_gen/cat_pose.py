@@ -16,7 +16,7 @@ from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
 from data_gen.body import Body, Bone, Cone, Pose, cone_distance
-from data_gen.self_intersection import self_intersections
+from data_gen.mesher import self_intersections
 from fmsync.shape import triangle_areas, vertex_areas
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint

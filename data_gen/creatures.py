@@ -13,8 +13,7 @@ from data_gen.cache import cached, recipe
 from data_gen.cat_pose import Rig, vertex_normals
 from data_gen.cats import SOURCES, grow_right_half
 from data_gen.creature_body import draw_body
-from data_gen.mesher import half_skin, is_sphere
-from data_gen.self_intersection import self_intersections
+from data_gen.mesher import half_skin, is_sphere, self_intersections
 from fmsync import checks
 from fmsync.shape import Shape, edges_of_faces, vertex_areas
 
@@ -82,9 +81,7 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
     corners = eye_array(n_vertices, format="csr")
     for edges, _, _ in levels:
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
-    corners = corners.tocoo()
-    order = np.lexsort((-corners.data, corners.row))
-    located = corners.col.astype(np.int64)[order][np.unique(corners.row[order], return_index=True)[1]]
+    located = np.asarray(corners.argmax(axis=1), dtype=np.int64).ravel()  # the nearest vertex, of equals the first
     arrays = {}
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
