@@ -22,7 +22,7 @@ import numpy as np
 
 from bench import methods
 from bench.cache import HASHES
-from bench.measure import measure, method_rng
+from bench.metrics import measure, method_rng
 from bench.planted import Planted
 from bench.provenance import machine, versions
 from bench.suites import Run, generator_function

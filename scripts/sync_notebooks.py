@@ -133,9 +133,15 @@ def render(md: Path) -> str:
         notebook.cells.insert(0, nbformat.v4.new_code_cell(_CELLS["colab"].format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
-    called = _called(md)
-    notebook.cells, named = _captioned(notebook.cells, called), _elsewhere() | called
-    for k, cell in enumerate(notebook.cells):
+    called, cells = _called(md), []
+    named = _elsewhere() | called
+    for cell in notebook.cells:
+        cells.append(cell)
+        if figure := cell.metadata.get("mystnb", {}).get("figure"):
+            caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
+            cells.append(nbformat.v4.new_markdown_cell(caption))
+    notebook.cells = cells
+    for k, cell in enumerate(cells):
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
             if "hide-input" in cell["metadata"].get("tags", ()):
@@ -146,17 +152,6 @@ def render(md: Path) -> str:
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     nbformat.validate(notebook)
     return nbformat.writes(notebook) + "\n"
-
-
-def _captioned(cells: list, called: dict[str, str]) -> list:
-    """The cells with the caption of each figure or table after it."""
-    found = []
-    for cell in cells:
-        found.append(cell)
-        if figure := cell.metadata.get("mystnb", {}).get("figure"):
-            caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
-            found.append(nbformat.v4.new_markdown_cell(caption))
-    return found
 
 
 def _called(md: Path) -> dict[str, str]:

@@ -19,9 +19,9 @@ import argparse
 from pathlib import Path
 
 from bench.own_shapes import confidence, given, outliers, species
-from bench.own_shapes.evaluation import collection
 from bench.own_shapes.stages import remeshed
 from bench.studies import add_part
+from data_gen import load_collection
 
 PARTS = {
     "collections": confidence.collections,
@@ -47,7 +47,8 @@ def main(arguments: list[str] | None = None) -> None:
     if options.part == "refit":
         species.fitted(species.all_points(species.FIT, _KEPT)).save(options.out)
         return
-    loaded = {Path(name).name: collection(name) for name in options.collections}
+    coarse = {"cats": {"n_vertices": 4000}}
+    loaded = {Path(name).name: load_collection(name, **coarse.get(name, {})) for name in options.collections}
     found = PARTS[options.part](loaded) if loaded else _MAKES[options.part]()
     add_part(options.out, options.part, found, command)
 

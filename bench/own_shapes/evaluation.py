@@ -42,11 +42,6 @@ class Evaluation:
         return samples_to_vertices(self.shapes[i], values)[self.vertices[i]]
 
 
-def collection(name: str) -> list[Shape]:
-    """Shapes of one vertex order."""
-    return load_collection(name, **({"count": 11, "n_vertices": 4000} if name == "cats" else {}))
-
-
 def species(number: int, count: int = 4) -> list[Creature]:
     """Poses of a random species, each with a triangulation of its own."""
     return load_collection("creatures", species=number, count=count, n_vertices=1500, remeshed=True)

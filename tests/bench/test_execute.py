@@ -11,8 +11,7 @@ import data_gen
 from bench import execute as executing
 from bench import methods
 from bench.execute import execute, isolated
-from bench.measure import measure
-from bench.metrics import frobenius_errors
+from bench.metrics import frobenius_errors, measure
 from bench.planted import Planted
 from bench.suites import Run
 from fmsync import diagnostics

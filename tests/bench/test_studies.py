@@ -148,7 +148,7 @@ def test_species_left_out_are_covered_as_promised():
 
 
 def test_every_part_of_the_command_writes_its_results(tmp_path, monkeypatch, cats):
-    monkeypatch.setattr(own_shapes, "collection", lambda name: cats)
+    monkeypatch.setattr(own_shapes, "load_collection", lambda name: cats)
     monkeypatch.setitem(own_shapes.PARTS, "planted", lambda loaded: {name: len(one) for name, one in loaded.items()})
     own_shapes.main(["planted", "some/cats", "--out", str(tmp_path / "found.json")])
     found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
