@@ -48,9 +48,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     table = results.summarise(chosen[chosen.label.isin(labels)], ["label", "density", "sigma2"], "edge_error")
     table = table.merge(paper_table(), how="left", on=["label", "density", "sigma2"])
     table["agrees"] = (table.low <= table.paper) & (table.paper <= table.high)
-    for name in ("floor", "expected"):
-        lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
-        table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
+    lines = chosen[chosen.metric.isin(["floor_rms", "expected_rms"])]
+    lines = lines.pivot_table("value", ["density", "sigma2"], "metric", "mean").rename(columns=_SHORT)
+    table = table.merge(lines.reindex(columns=["floor", "expected"]), how="left", on=["density", "sigma2"])
     n, per_pair = int(chosen.n.iloc[0]), 2 if two_way else 1
     thresholds = {share: recovery_threshold(n_nodes, n, per_pair, density=share) for share in table.density.unique()}
     table["recoverable"] = table.sigma2 < table.density.map(thresholds)

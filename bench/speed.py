@@ -4,7 +4,6 @@
 speed changes meanwhile slows both. One thread, CPU seconds.
 """
 
-import os
 import subprocess
 import sys
 import time
@@ -129,7 +128,7 @@ def first_calls() -> dict[str, dict[str, float]]:
         code, runs = f"{_PLAIN}{call}print(time.process_time() - t)", []
         for _ in range(RUNS + 1):  # the first one fills the cache
             line = [sys.executable, "-W", "ignore", "-c", code]
-            runs.append(float(subprocess.run(line, check=True, capture_output=True, text=True, env=os.environ).stdout))
+            runs.append(float(subprocess.check_output(line, text=True)))
         low, middle, high = np.quantile(runs[1:], [0.25, 0.5, 0.75])
         found[name] = {"seconds": middle, "low": low, "high": high}
     return found

@@ -67,9 +67,7 @@ def _heading(directive: str, title: str) -> list[str]:
     name = directive.split(":")[-1].split("-")[0].capitalize()
     if directive == "stages":
         return [" → ".join(f"**{s}**" if s == title else s for s in _STAGES), ""]
-    if directive == "admonition":
-        name, title = title, ""
-    if title.startswith(name + " "):  # an exercise with its number
+    if directive == "admonition" or title.startswith(name + " "):  # an exercise with its number
         name, title = title, ""
     if directive == "math" or directive.endswith("-end") or not name:
         return []
