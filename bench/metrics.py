@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.methods import Answer
-from bench.planted import Planted
+from bench.problems import Planted, thinned
 from fmsync import calibration, oracle
 from fmsync.functional_maps import point_map
 from fmsync.problem import cycle_error
@@ -63,15 +63,6 @@ def cumulative_curve(errors: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 def area_under_curve(errors: np.ndarray, largest: float) -> float:
     r"""Area under the cumulative curve on [0, largest] by its length: the mean of :math:`(1 - e/largest)_+`."""
     return float(np.maximum(0.0, 1 - np.asarray(errors) / largest).mean())
-
-
-def thinned(count: int, most: int) -> np.ndarray:
-    """At most ``most`` indices spread evenly over 0..count-1.
-
-    >>> thinned(10, 4).tolist()
-    [0, 3, 6, 9]
-    """
-    return np.linspace(0, count - 1, min(most, count)).round().astype(int)
 
 
 def method_rng(seed: int) -> np.random.Generator:

@@ -1,18 +1,22 @@
-"""Tables of results: Table 1 cell by cell beside the paper's, and a scoreboard of any suite."""
+"""Tables of results: Table 1 cell by cell beside the paper's, a scoreboard of any suite, and its methods best first."""
 
+import html
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from bench import figures, results
+from bench import figures, methods, results
 from bench.metrics import root_mean_square
 from fmsync.bounds import is_small_error, recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
 _MOST_PANELS = 6
+CONTROLS = ("observed", "identity", "haar-baseline")
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 _LEGEND = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
 _LEGEND += "threshold; (bound) = errors are too large for it"
 _SUMMARIES = (
@@ -178,3 +182,34 @@ def _is_paper(frame: pd.DataFrame) -> bool:
 
 def _named(problem: str) -> str:
     return ", ".join(f"{name}={value}" for name, value in json.loads(problem).items())
+
+
+def relative_performance(frame: pd.DataFrame) -> pd.DataFrame:
+    """Error over that of the best method of a problem: label, ratio (geometric mean over problems), low, high, file.
+
+    ``frame`` holds the results of one suite; low and high are the ratios on the problems that suit a method best and
+    least. Methods without error, which see the truth, are left out. Best first.
+    """
+    board = scoreboard(frame)
+    rows = board[board.error > 0]
+    over = np.log(rows.error / rows.groupby("problem").error.transform("min")).groupby(rows.label)
+    table = np.exp(over.agg(ratio="mean", low="min", high="max"))
+    modules = frame.drop_duplicates("label").set_index("label").method.map(lambda name: methods.get(name).module)
+    table["file"] = modules.str.replace(".", "/") + ".py"
+    return table.sort_values("ratio").reset_index()
+
+
+def as_list(table: pd.DataFrame, title: str, most: float = 10.0) -> str:
+    """HTML of :func:`relative_performance`: a dot for the mean, a bar to the extremes, hollow for controls."""
+    rows = []
+    for row in table.itertuples():
+        dot, low, high = (100 * min(np.log(x) / np.log(most), 1.0) for x in (row.ratio, row.low, row.high))
+        scale = f'<i style="left:{low:.1f}%;width:{high - low:.1f}%"></i><b style="left:{dot:.1f}%"></b>'
+        kind = "fm-performance fm-control" if row.label in CONTROLS else "fm-performance"
+        words = html.escape(WORDS.get(row.label, row.label))
+        rows.append(
+            f'<details class="{kind}"><summary><span>{words}</span><span class="fm-scale">{scale}</span>'
+            f"<span>{row.ratio:.2f}</span></summary><p><code>{html.escape(row.label)}</code> is in "
+            f"<code>{row.file}</code>; {row.low:.2f} to {row.high:.2f} on single problems.</p></details>"
+        )
+    return f'<div class="fm-performances"><p><strong>{html.escape(title)}</strong></p>{"".join(rows)}</div>'

@@ -28,7 +28,7 @@ def _load(path: str):
 
 
 zip_book = _load("scripts/zip_book.py")
-overview = _load("scripts/draw_overview.py")
+overview = _load("scripts/draw_gallery.py")
 sync_notebooks = _load("scripts/sync_notebooks.py")
 book = _load("book/_ext/fmsync_book.py")
 reference = _load("book/_ext/fmsync_reference.py")
