@@ -1,12 +1,11 @@
 """Where a result was made: machine, versions and commit."""
 
-import contextlib
 import os
 import platform
 import re
 import subprocess
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
@@ -23,11 +22,7 @@ def machine() -> str:
 @cache
 def versions() -> str:
     """Python and the libraries that results depend on."""
-    found = [f"python {platform.python_version()}"]
-    for name in _VERSIONS:
-        with contextlib.suppress(PackageNotFoundError):
-            found.append(f"{name} {version(name)}")
-    return ", ".join(found)
+    return ", ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _VERSIONS)])
 
 
 def current_commit() -> str:

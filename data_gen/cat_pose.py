@@ -75,8 +75,14 @@ def muscle_tone(k: int) -> np.ndarray:
 
 def joint_transforms(pose: Pose, skeleton: Sequence[Bone]) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (B, 3, 3) and translations (B, 3) that carry every bone into the pose."""
-    names = [bone.name for bone in skeleton]
-    angles = _both_sides(pose, names)
+    names, angles = [bone.name for bone in skeleton], {}
+    for name, (roll, pitch, yaw) in pose.items():
+        if name in names:
+            angles[name] = (roll, pitch, yaw)
+        elif f"left {name}" in names:
+            angles[f"left {name}"], angles[f"right {name}"] = (roll, pitch, yaw), (-roll, pitch, -yaw)
+        else:
+            raise ValueError(f"pose: no joint {name!r}; the joints are {', '.join(names)}")
     rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
     for k, bone in enumerate(skeleton):
         joint = np.array(bone.joint)
@@ -89,18 +95,6 @@ def joint_transforms(pose: Pose, skeleton: Sequence[Bone]) -> tuple[np.ndarray, 
             rotations[k] = rotations[parent] @ local
             translations[k] = rotations[parent] @ offset + translations[parent]
     return rotations, translations
-
-
-def _both_sides(pose, names):
-    angles = {}
-    for name, (roll, pitch, yaw) in pose.items():
-        if name in names:
-            angles[name] = (roll, pitch, yaw)
-        elif f"left {name}" in names:
-            angles[f"left {name}"], angles[f"right {name}"] = (roll, pitch, yaw), (-roll, pitch, -yaw)
-        else:
-            raise ValueError(f"pose: no joint {name!r}; the joints are {', '.join(names)}")
-    return angles
 
 
 def _rotation(roll, pitch, yaw):
@@ -144,9 +138,16 @@ class Rig:
         rest = self.vertices + (self.weights @ (tone * self._radii))[:, None] * self._normals
         carried = np.einsum("bij,vj->vbi", rotations, rest) + translations
         skinned = np.einsum("vb,vbi->vi", self.weights, carried)
-        posed = skinned
+        posed, edges = skinned, rest[self._to] - rest[self._from]
         for _ in range(_ARAP_STEPS):
-            posed = self._global_step(rest, self._local_step(rest, posed), skinned)
+            now = posed[self._to] - posed[self._from]
+            outer = (self._stiffness[:, None] * now)[:, :, None] * edges[:, None, :]
+            u, _, vt = np.linalg.svd((self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3))
+            u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+            turns = u @ vt  # those that best carry the resting edges around each vertex to the posed ones
+            both = 0.5 * (turns[self._from] + turns[self._to])
+            pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, -edges)
+            posed = self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
         return posed
 
     def first_free(self, poses: Iterable[tuple[Pose, np.ndarray]], name: str) -> np.ndarray:
@@ -156,22 +157,6 @@ class Rig:
             if len(self_intersections(vertices, self.faces)) == 0:
                 return vertices
         raise ValueError(f"{name}: all draws of its pose pass through themselves; try another seed")
-
-    def _local_step(self, rest, posed):
-        """The rotation (V, 3, 3) that best carries the resting edges around each vertex to the posed ones."""
-        rest = rest[self._to] - rest[self._from]
-        now = posed[self._to] - posed[self._from]
-        outer = (self._stiffness[:, None] * now)[:, :, None] * rest[:, None, :]
-        covariance = (self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
-        u, _, vt = np.linalg.svd(covariance)
-        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-        return u @ vt
-
-    def _global_step(self, rest, rotations, skinned):
-        rest = rest[self._from] - rest[self._to]
-        both = 0.5 * (rotations[self._from] + rotations[self._to])
-        pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, rest)
-        return self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
 
 
 def _factorised(matrix):

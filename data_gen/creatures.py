@@ -82,10 +82,14 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
     for edges, _, _ in levels:
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
     located = np.asarray(corners.argmax(axis=1), dtype=np.int64).ravel()  # the nearest vertex, of equals the first
-    arrays = {}
+    arrays, stems = {}, [bone.name.rstrip("0123456789") for bone in body.bones]
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
-        fields = _posed(rig, body, rng, f"species {species}, creature{k}"), faces, own, mirror, located
+        signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
+        tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
+        eases = (_EASE**attempt for attempt in range(_DRAWS))  # each draw is bent a little less than the one before
+        draws = ((body.pose(rng, ease), ease * tone) for ease in eases)
+        fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located
         if remeshed:
             fields = _remeshed(*fields[:2], levels, n_vertices, rng)
         arrays |= {f"{name}{k}": a for name, a in zip(_ARRAYS, fields)}
@@ -149,15 +153,6 @@ def _lopsided(vertices, faces, body, rng):
 
         bones, cones = [grown(bone, "joint") for bone in bones], [grown(cone, "start", "end") for cone in cones]
     return grow_right_half(vertices, growth, np.zeros(3)), bones, cones
-
-
-def _posed(rig, body, rng, name):
-    """The first draw that does not pass through itself, each bent a little less than the one before."""
-    stems = [bone.name.rstrip("0123456789") for bone in body.bones]
-    signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
-    tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
-    eases = (_EASE**attempt for attempt in range(_DRAWS))
-    return rig.first_free(((body.pose(rng, ease), ease * tone) for ease in eases), name)
 
 
 def _subdivisions(faces, mirror):
