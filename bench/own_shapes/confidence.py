@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import fmsync
-from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pairs
-from bench.own_shapes.stages import stages
+from bench.own_shapes.stages import Evaluation, evaluation_vertices, some_pairs, stages
 from data_gen import GroundTruth, perturb
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal

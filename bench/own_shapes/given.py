@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 from sklearn.metrics import roc_auc_score
 
 from bench.own_shapes.confidence import observe
-from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, species
-from bench.own_shapes.stages import decimated
+from bench.own_shapes.stages import Evaluation, decimated, evaluation_vertices, species
 from data_gen import Creature
 from fmsync import adapters, diagnostics
 from fmsync.functional_maps import point_map

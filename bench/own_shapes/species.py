@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bench.own_shapes.confidence import LEVELS, observe
-from bench.own_shapes.evaluation import species
+from bench.own_shapes.stages import species
 from bench.studies import kept_results
 from fmsync import diagnostics
 from fmsync.matching import Confidence, ConformalCalibration, fit_conformal
