@@ -14,18 +14,18 @@ import numpy as np
 import pandas as pd
 
 import fmsync
+from bench.metrics import LEVELS
 from bench.problems import rotations
 from bench.studies import command_line, coverage, fill
 from fmsync import calibration, diagnostics
 from fmsync.problem import relative_maps
 
-NOMINAL = (0.5, 0.8, 0.9, 0.95)
 _WRONG_EVERY = 4
 _TOLD = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _SWEEPS = {tuple(case): sweeps for *case, sweeps in _TOLD["cases"]}  # between draws, of noise, level and model
 CASES = list(_SWEEPS)
 _MEANS = ["ess", "level_found", "error_mean", "error_unprojected", "error_mle", "energy_score"]
-COVERED = {q: f"covered_{round(100 * q)}" for q in NOMINAL}
+COVERED = {q: f"covered_{round(100 * q)}" for q in LEVELS}
 _FIELDS = ["noise", "level", "model", "problem", "cpu_seconds", *_MEANS, *COVERED.values()]
 
 

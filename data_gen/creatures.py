@@ -146,12 +146,11 @@ def _lopsided(vertices, faces, body, rng):
         vertices = vertices + excess * share * (vertices - joint)
 
         def grown(part: Bone | Cone, *ends: str) -> Bone | Cone:
-            if not (part.name if isinstance(part, Bone) else part.bone).startswith(stem):
-                return part
             places = {end: np.array(getattr(part, end)) for end in ends}
             return replace(part, **{end: tuple(at + excess * (at - joint)) for end, at in places.items()})
 
-        bones, cones = [grown(bone, "joint") for bone in bones], [grown(cone, "start", "end") for cone in cones]
+        bones = [grown(bone, "joint") if bone.name.startswith(stem) else bone for bone in bones]
+        cones = [grown(cone, "start", "end") if cone.bone.startswith(stem) else cone for cone in cones]
     return grow_right_half(vertices, growth, np.zeros(3)), bones, cones
 
 

@@ -102,16 +102,16 @@ def main() -> int:
     worlds = [(a, s) for s in shifts(options.seed) for a in ("native", "other")]
     columns = [f"{a} {s:+d}" for a, s in worlds]
     folder = ROOT / "_build" / "worlds" / cache_folder().name
-    tasks = []
-    for page in chosen.values():
-        digest = sha256(page.read_bytes()).hexdigest()[:12]
-        tasks += [(page, a, s, folder / f"{page.stem}-{digest}-{a}-{s}.json") for a, s in worlds]
+    tasks = {}
+    for chapter, page in chosen.items():
+        stem = f"{chapter}-{sha256(page.read_bytes()).hexdigest()[:12]}"
+        tasks[chapter] = [(page, a, s, folder / f"{stem}-{a}-{s}.json") for a, s in worlds]
+    left = [task for own in tasks.values() for task in own if not task[-1].is_file()]
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        list(pool.map(run, *zip(*(task for task in tasks if not task[-1].is_file()))))
-    records = [json.loads(keep.read_text(encoding="utf-8")) for *_, keep in tasks]
+        list(pool.map(run, *zip(*left)))
     failed, table = [], {}
-    for k, chapter in enumerate(chosen):
-        own = records[k * len(worlds) : (k + 1) * len(worlds)]
+    for chapter, runs in tasks.items():
+        own = [json.loads(keep.read_text(encoding="utf-8")) for *_, keep in runs]
         margins = closest(own)
         near, claim = margins[0] if margins else (None, None)
         table[chapter] = {"failures": [failures(r) for r in own], "closest": claim, "margin": near and round(near, 1)}
