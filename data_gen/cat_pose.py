@@ -87,13 +87,10 @@ def joint_transforms(pose: Pose, skeleton: Sequence[Bone]) -> tuple[np.ndarray, 
     for k, bone in enumerate(skeleton):
         joint = np.array(bone.joint)
         local = _rotation(*angles.get(bone.name, (0, 0, 0)))
-        offset = joint - local @ joint
-        if bone.parent is None:
-            rotations[k], translations[k] = local, offset
-        else:
-            parent = names.index(bone.parent)
-            rotations[k] = rotations[parent] @ local
-            translations[k] = rotations[parent] @ offset + translations[parent]
+        turn, shift = np.eye(3), np.zeros(3)  # of the parent
+        if bone.parent is not None:
+            turn, shift = (of_bone[names.index(bone.parent)] for of_bone in (rotations, translations))
+        rotations[k], translations[k] = turn @ local, turn @ (joint - local @ joint) + shift
     return rotations, translations
 
 

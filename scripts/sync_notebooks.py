@@ -27,7 +27,7 @@ _NUMBERED = re.compile(r"\{(?:numref|prf:ref)\}`([\w-]+)`")
 _EXERCISE = re.compile(r"(\{exercise\}(?=\n:)|\{solution-start\})(?:\n:label:)? ([\w-]+)")
 _KINDS = {"fig": "Fig.", "tab": "Table", "thm": "Theorem", "def": "Definition", "rem": "Remark", "ex": "Exercise"}
 _LABELS = re.compile(rf"(?:name|label): (({'|'.join(_KINDS)})-[\w-]+)$", re.MULTILINE)
-_STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
+_STAGES = tuple(tomllib.loads((BOOK / "_ext" / "stages.toml").read_text(encoding="utf-8"))["stages"])  # of the method
 
 
 def chapters(book: Path = BOOK) -> dict[str, Path]:
