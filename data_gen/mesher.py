@@ -145,8 +145,7 @@ def dual_triangles(corners: np.ndarray) -> np.ndarray:
 def is_sphere(faces: np.ndarray, n_vertices: int) -> bool:
     """Whether faces (F, 3) close up, facing one way, to a surface of genus zero that uses every vertex."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    codes = directed[:, 0] * n_vertices + directed[:, 1]
-    opposite = directed[:, 1] * n_vertices + directed[:, 0]
+    codes, opposite = directed @ [n_vertices, 1], directed @ [1, n_vertices]
     once = len(np.unique(codes)) == len(codes)
     paired = np.array_equal(np.sort(codes), np.sort(opposite))
     return once and paired and n_vertices - len(codes) // 2 + len(faces) == 2 and len(np.unique(faces)) == n_vertices
@@ -176,8 +175,7 @@ def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
             ends = faces[pairs[:, first]][:, [k, (k + 1) % 3]]
             other = faces[pairs[:, second]]
             apart = (ends[:, :, None] != other[:, None, :]).all(axis=(1, 2))
-            hit = _segment_cuts_triangle(vertices[ends[:, 0]], vertices[ends[:, 1]], vertices[other])
-            cut |= hit & apart
+            cut |= apart & _segment_cuts_triangle(*vertices[ends].swapaxes(0, 1), vertices[other])
     return pairs[cut]
 
 
