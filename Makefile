@@ -14,6 +14,11 @@ export MKL_NUM_THREADS ?= 1
 export FMSYNC_DATA
 JOBS ?= 2
 HTML := _build/html/index.html
+# pages and zip carry the date of the last commit: the same commit renders to the same bytes
+DATE := $(shell git log -1 --format=%ct 2>/dev/null)
+ifneq ($(DATE),)
+export SOURCE_DATE_EPOCH ?= $(DATE)
+endif
 .PHONY: setup book book.zip test worlds fuzz lint unit core notebook-test browser notebooks lab clean
 
 book: setup
@@ -22,7 +27,7 @@ book: setup
 
 # the rendered book in one file that opens from disk: _build/book.zip
 book.zip: book
-	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct 2>/dev/null) python scripts/zip_book.py
+	python scripts/zip_book.py
 
 test: lint unit notebook-test browser
 

@@ -1,4 +1,4 @@
-"""``python -m bench``: run, collect, report, compare, verify, list."""
+"""``python -m bench``: run, report, compare, verify, list."""
 
 import argparse
 import itertools
@@ -13,7 +13,6 @@ from tqdm import tqdm
 from fmsync.cli import add_commands
 from fmsync.extras import MissingExtra, require_all
 
-_RESULTS = Path("results")
 NEEDED = (  # by some command or suite: what is missing is reported before a run begins
     *("autograd", "distributed", "geomstats", "joblib", "matplotlib", "pandas", "potpourri3d", "pyFM"),
     *("pyarrow", "pymanopt", "pyvista", "sklearn"),
@@ -23,7 +22,7 @@ NEEDED = (  # by some command or suite: what is missing is reported before a run
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; bad input, an extra that is missing or a full disk ends with one line and status 2."""
     parser = argparse.ArgumentParser(prog="python -m bench", description="Run and compare benchmark suites.")
-    runs = {"run": _run, "collect": _collect, "report": _report, "compare": _compare, "verify": _verify, "list": _list}
+    runs = {"run": _run, "report": _report, "compare": _compare, "verify": _verify, "list": _list}
     cache = Path(os.environ.get("FMSYNC_BENCH_CACHE", ".bench"))
     add_commands(parser, Path(__file__).with_name("help.toml"), runs, jobs=os.cpu_count(), cache=cache)
     parsed = parser.parse_args(arguments)
@@ -39,6 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from bench import results
     from bench.cache import ResultCache
     from bench.runner import run_suite
     from bench.suites import load_suite
@@ -74,30 +74,10 @@ def _run(arguments: argparse.Namespace) -> int:
         last = record["traceback"].strip().rpartition("\n")[2]
         print(f"  {record['status']}: {record['label']} {record['problem']} seed {record['seed']}: {last}")
     if arguments.only is None or arguments.results is not None:
-        _write(suite, outcome.records, arguments.results or _RESULTS)
+        path = (arguments.results or Path("results")) / f"{suite.name}.parquet"
+        results.write(results.to_frame(suite.name, outcome.records), path)
+        print(f"wrote {path}")
     return 1 if failed else 0
-
-
-def _collect(arguments: argparse.Namespace) -> int:
-    from bench.cache import ResultCache
-    from bench.suites import load_suite
-
-    suite, cache = load_suite(arguments.suite), ResultCache(arguments.cache)
-    found = [(run, cache.read(run.key) or cache.read(run.key, "failed")) for run in suite.runs]
-    records = [{**record, "label": run.label} for run, record in found if record is not None]
-    if not records:
-        raise ValueError(f"{arguments.cache}: no run of {suite.name} is there; run 'python -m bench run {suite.name}'")
-    print(f"{len(records)} of {len(suite.runs)} runs")
-    _write(suite, records, arguments.results)
-    return 0
-
-
-def _write(suite, records, folder: Path) -> None:
-    from bench.results import to_frame, write
-
-    path = folder / f"{suite.name}.parquet"
-    write(to_frame(suite.name, records), path)
-    print(f"wrote {path}")
 
 
 def _report(arguments: argparse.Namespace) -> int:

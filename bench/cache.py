@@ -16,7 +16,7 @@ import data_gen
 import fmsync
 from fmsync.files import replacing
 
-_MEASURED_BY = ("bench.measure", "bench.metrics", "bench.planted")
+_MEASURED_BY = ("bench.metrics", "bench.problems")
 HASHES: dict[tuple[str, int, int], str] = {}  # of files by path, time and size: workers get those of their parent
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 

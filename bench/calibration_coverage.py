@@ -7,38 +7,26 @@ posterior holds the truth and is left unchanged; in :mod:`bench.prior_coverage` 
 """
 
 import time
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 import fmsync
+from bench.metrics import LEVELS
 from bench.problems import rotations
 from bench.studies import command_line, coverage, fill
 from fmsync import calibration, diagnostics
 from fmsync.problem import relative_maps
 
-NOMINAL = (0.5, 0.8, 0.9, 0.95)
 _WRONG_EVERY = 4
-_MODELS = {
-    "langevin": {"kappa": "auto"},
-    "beta = 1": {"beta": 1.0},
-    "projected-gaussian": {"likelihood": "projected-gaussian"},
-}
-_THINNING = {  # sweeps between draws, so that 200 of them are effective; 2 elsewhere
-    ("langevin", 8.0, "langevin"): 3,
-    ("projected-gaussian", 0.1, "projected-gaussian"): 3,
-    ("projected-gaussian", 0.2, "projected-gaussian"): 7,
-    ("projected-gaussian", 0.02, "beta = 1"): 8,
-    **{("projected-gaussian", sigma2, "beta = 1"): 6 for sigma2 in (0.05, 0.1, 0.2)},
-    ("projected-gaussian", 0.2, "langevin"): 3,
-}
+_TOLD = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_SWEEPS = {tuple(case): sweeps for *case, sweeps in _TOLD["cases"]}  # between draws, of noise, level and model
+CASES = list(_SWEEPS)
 _MEANS = ["ess", "level_found", "error_mean", "error_unprojected", "error_mle", "energy_score"]
-COVERED = {q: f"covered_{round(100 * q)}" for q in NOMINAL}
+COVERED = {q: f"covered_{round(100 * q)}" for q in LEVELS}
 _FIELDS = ["noise", "level", "model", "problem", "cpu_seconds", *_MEANS, *COVERED.values()]
-
-CASES = [("langevin", kappa, "langevin") for kappa in (8.0, 11.0, 20.0, 50.0)]
-for _model in ("projected-gaussian", "langevin", "beta = 1"):
-    CASES += [("projected-gaussian", sigma2, _model) for sigma2 in (0.02, 0.05, 0.1, 0.2)]
 
 
 def one(noise: str, level: float, model: str, problem: int, n: int = 20, n_draws: int = 300) -> dict[str, object]:
@@ -46,9 +34,8 @@ def one(noise: str, level: float, model: str, problem: int, n: int = 20, n_draws
     strength = {"kappa" if noise == "langevin" else "sigma2": level}
     planted = rotations(seed=problem, n_nodes=11, n=n, noise=noise, **strength)
     p, began = planted.problem, time.process_time()
-    thin = _THINNING.get((noise, level, model), 2)
-    mle = fmsync.solve(p, "mle", rng=problem)
-    options = {"n_chains": 1, "n_draws": n_draws, "warmup": 250, "thin": thin, **_MODELS[model]}
+    mle, thin = fmsync.solve(p, "mle", rng=problem), _SWEEPS.get((noise, level, model), 2)
+    options = {"n_chains": 1, "n_draws": n_draws, "warmup": 250, "thin": thin, **_TOLD["models"][model]}
     with diagnostics.short_run():
         post = fmsync.sample(p, "heat-bath", rng=problem, init=mle, **options)
     truth = relative_maps(planted.truth, p.edges)
@@ -86,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.results / "calibration_problems.csv"
     right = [noise == model for noise, _, model in CASES]
     todo = [(*c, k) for k in range(options.problems) for c, r in zip(CASES, right) if r or k % _WRONG_EVERY == 0]
-    fill(path, _FIELDS, todo, one, options.jobs, options.minutes)
+    fill(path, _FIELDS, todo, one, options.jobs)
     made = table(pd.read_csv(path))
     made.round(4).to_csv(options.results / "calibration_coverage.csv", index=False)
     print(made.round(3).to_string(index=False))

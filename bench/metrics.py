@@ -1,12 +1,24 @@
-"""The numbers that tables of the suites show: their names, units and how exactly another machine repeats them."""
+"""The numbers that tables show: names, units, how exactly another machine repeats them, and how they are measured."""
 
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+from bench.methods import Answer
+from bench.problems import Planted, thinned
+from fmsync import calibration, oracle
+from fmsync.functional_maps import point_map
+from fmsync.problem import cycle_error
 
 STANDARD_ERRORS = 4.0  # of one problem: the largest difference where chains part
 _ROUNDING = 1e-9  # absolute: what should be zero, such as the cycle error of absolute maps, has no relative precision
 LEVELS = (0.5, 0.8, 0.9, 0.95)
+_MOST_DRAWS = 1000
+_MOST_EDGES = 20  # whose draws are scored: edges of one problem say much the same
+_LARGEST_POINT_ERROR = 0.25
 
 
 @dataclass(frozen=True)
@@ -14,8 +26,7 @@ class Metric:
     """A number that tables show, and how :mod:`bench.verify` compares it with the number of another run.
 
     ``direction`` says which way is better: "lower", "higher", or "none". ``tolerance`` is relative, between processors;
-    None for what the load decides, which is not compared. ``few_edges``: whether it is a share of the edges of one
-    problem, which cross a threshold together: that runs all give the same one does not show that no run gives another.
+    None for what is not compared; ``few_edges`` marks a share of the edges of one problem (see ``metrics.toml``).
     """
 
     name: str
@@ -29,28 +40,9 @@ class Metric:
         return self.tolerance * abs(value) + _ROUNDING
 
 
-# 315 runs of all methods but samplers were computed on an Intel Xeon (the tables), on an AMD EPYC, and on the latter in
-# the arithmetic of an old processor. In 298 of them every metric differs by less than 1e-8 of its value, or less than
-# 1e-12: no metric is ill-conditioned by itself, and all have the same tolerance. The other 17 runs are ill-conditioned
-# as a whole, because of the method (linear programs with many solutions, nearest vertices) or of the problem (two
-# minima). `bench.verify` finds out which runs these are by moving the last digits of their observations.
-METRICS = {
-    metric.name: metric
-    for metric in (
-        *(Metric(f"{name}_error", "Frobenius", "lower") for name in ("edge", "pair", "cycle")),
-        *(Metric(name, "Frobenius", "lower") for name in ("edge_rms", "pair_rms", "energy_score", "error_at_step")),
-        *(Metric(name, "Frobenius", "none") for name in ("floor_rms", "expected_rms")),
-        *(Metric(f"coverage_{round(100 * level)}", "share", "none", few_edges=True) for level in LEVELS),
-        Metric("calibration_error", "share", "lower", few_edges=True),
-        *(Metric(name, "1/(1+Frobenius)", "higher") for name in ("oracle_accuracy", "accuracy_at_draws")),
-        Metric("point_error", "sqrt(area)", "lower"),
-        *(Metric(name, "share", "higher") for name in ("point_curve", "point_area")),
-        Metric("ess_per_second", "1/s", "higher", tolerance=None),
-        *(Metric(name, "s", "lower", tolerance=None) for name in ("seconds", "cpu_seconds")),
-        Metric("peak_memory", "MB", "lower", tolerance=None),
-        Metric("at_once", "cells", "none", tolerance=None),  # of tables made when chains of several seeds were a batch
-    )
-}
+_TOLD = tomllib.loads(Path(__file__).with_name("metrics.toml").read_text(encoding="utf-8"))
+METRICS = {name: Metric(name, **told) for name, told in _TOLD["compared"].items()}
+METRICS |= {name: Metric(name, **told, tolerance=None) for name, told in _TOLD["not_compared"].items()}
 
 
 def frobenius_errors(maps: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -73,10 +65,61 @@ def area_under_curve(errors: np.ndarray, largest: float) -> float:
     return float(np.maximum(0.0, 1 - np.asarray(errors) / largest).mean())
 
 
-def thinned(count: int, most: int) -> np.ndarray:
-    """At most ``most`` indices spread evenly over 0..count-1.
+def method_rng(seed: int) -> np.random.Generator:
+    """The generator of a method, none of those that make problems: drawing from one it would start at the truth."""
+    return np.random.default_rng([seed, 0x6D6574686F64])
 
-    >>> thinned(10, 4).tolist()
-    [0, 3, 6, 9]
-    """
-    return np.linspace(0, count - 1, min(most, count)).round().astype(int)
+
+def measure(planted: Planted, answer: Answer) -> list[list]:
+    """All metrics that make sense here, as rows (name, at, value); ``at`` is the abscissa of curves, else None."""
+    edges = np.unique(np.sort(planted.problem.edges, axis=1), axis=0)
+    pairs = planted.pairs()
+    edges = edges if len(edges) <= len(pairs) else edges[thinned(len(edges), len(pairs))]
+    on_edges = answer.relative(edges)
+    on_pairs = on_edges if np.array_equal(edges, pairs) else answer.relative(pairs)  # complete graphs have no others
+    found: list[tuple[str, float | None, float]] = []
+    for name, which, maps in (("edge", edges, on_edges), ("pair", pairs, on_pairs)):
+        errors = frobenius_errors(maps, planted.relative(which))
+        if np.isfinite(errors).all():
+            found += [(f"{name}_error", None, errors.mean()), (f"{name}_rms", None, root_mean_square(errors))]
+    cycles = cycle_error(planted.problem.n_nodes, edges, on_edges)
+    if len(cycles):
+        found.append(("cycle_error", None, cycles.mean()))
+    if answer.draws is not None:
+        found += _measure_draws(planted, answer.draws, edges)
+    if planted.bases and planted.distances:
+        found += _measure_points(planted, pairs, on_pairs)
+    for step, relative in answer.path:
+        found.append(("error_at_step", step, frobenius_errors(relative(edges), planted.relative(edges)).mean()))
+    found += [(name, None, value) for name, value in {**answer.numbers(), **planted.references}.items()]
+    return [[name, None if at is None else float(at), float(value)] for name, at, value in found]
+
+
+def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> Iterator:
+    chosen = draws[thinned(len(draws), _MOST_DRAWS)]
+    edges = edges[thinned(len(edges), _MOST_EDGES)]
+    truth = planted.relative(edges)
+    relative = np.swapaxes(chosen[:, edges[:, 0]], -1, -2) @ chosen[:, edges[:, 1]]
+    yield "energy_score", None, calibration.energy_score(relative, truth)
+    coverage = calibration.covered(relative, truth, LEVELS).mean(axis=1)
+    for level, share in zip(LEVELS, coverage):
+        yield f"coverage_{round(100 * level)}", None, share
+    yield "calibration_error", None, calibration.calibration_error(coverage, LEVELS)
+    counts = np.unique(np.geomspace(1, len(chosen), 13).astype(int))
+    accuracy = oracle.oracle_accuracy(chosen, planted.truth, counts)
+    yield "oracle_accuracy", None, accuracy[-1]
+    for count, value in zip(counts, accuracy):
+        yield "accuracy_at_draws", count, value
+
+
+def _measure_points(planted: Planted, pairs: np.ndarray, maps: np.ndarray) -> Iterator:
+    errors, own = [], np.arange(len(planted.scored))
+    for (i, j), c in zip(pairs, maps):
+        sent = point_map(c, planted.bases[i], planted.bases[j], planted.scored)
+        errors.append(planted.distances[j][own, sent])
+    errors = np.concatenate(errors)
+    yield "point_error", None, errors.mean()
+    yield "point_area", None, area_under_curve(errors, _LARGEST_POINT_ERROR)
+    thresholds = np.linspace(0, _LARGEST_POINT_ERROR, 26)
+    for threshold, share in zip(thresholds, cumulative_curve(errors, thresholds)):
+        yield "point_curve", threshold, share

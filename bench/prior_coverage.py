@@ -114,7 +114,7 @@ def main(arguments: list[str] | None = None) -> None:
         pooled = found().get("all", {"problems": 0})
         return pooled["problems"] >= 1000 and max(pooled[f"se {q}"] for q in COVERED) <= _PRECISION
 
-    fill(path, _FIELDS, todo, one, options.jobs, options.minutes, precise)
+    fill(path, _FIELDS, todo, one, options.jobs, precise)
     command = f"python -m bench.prior_coverage{' --fixed' * options.fixed}"
     add_part(options.results / "prior_coverage.json", prior, {"versions": versions(), "settings": found()}, command)
     print(pd.DataFrame(found()).T.to_string())

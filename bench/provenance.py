@@ -1,12 +1,11 @@
 """Where a result was made: machine, versions and commit."""
 
-import contextlib
 import os
 import platform
 import re
 import subprocess
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
@@ -23,19 +22,13 @@ def machine() -> str:
 @cache
 def versions() -> str:
     """Python and the libraries that results depend on."""
-    found = [f"python {platform.python_version()}"]
-    for name in _VERSIONS:
-        with contextlib.suppress(PackageNotFoundError):
-            found.append(f"{name} {version(name)}")
-    return ", ".join(found)
+    return ", ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _VERSIONS)])
 
 
 def current_commit() -> str:
     """Commit of the checkout that holds this package, with "+" behind it when files differ; else "unknown"."""
-    git = ["git", "-C", str(Path(__file__).parents[1])]
+    command = ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"]
     try:
-        found = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
-        changed = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True)
+        return subprocess.check_output(command, cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True).strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return found.stdout.strip() + ("+" if changed.stdout.strip() else "")

@@ -1,19 +1,31 @@
-"""Tables of results: Table 1 cell by cell beside the paper's, and a scoreboard of any suite."""
+"""Tables of results: Table 1 cell by cell beside the paper's, a scoreboard of any suite, and its methods best first."""
 
+import html
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from bench import figures, results
+from bench import figures, methods, results
 from bench.metrics import root_mean_square
 from fmsync.bounds import is_small_error, recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
 _MOST_PANELS = 6
-_SHORT = {"cpu_seconds": "cpu", "peak_memory": "memory", "floor_rms": "floor", "expected_rms": "expected"}
+CONTROLS = ("observed", "identity", "haar-baseline")
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+_LEGEND = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
+_LEGEND += "threshold; (bound) = errors are too large for it"
+_SUMMARIES = (
+    (["problem", "label"], ("seconds", "cpu_seconds", "peak_memory"), "median"),
+    (["problem", "label"], ("edge_rms",), root_mean_square),
+    (["problem"], ("floor_rms", "expected_rms"), "mean"),
+)
+_SHORT = {"mean": "error", "edge_rms": "rms", "cpu_seconds": "cpu", "peak_memory": "memory"}
+_SHORT |= {"floor_rms": "floor", "expected_rms": "expected"}
 _BOARD = ["problem", "label", "error", "low", "high", "rms", "seconds", "cpu", "memory", "failed", "floor", "expected"]
 
 
@@ -40,9 +52,9 @@ def table1(frame: pd.DataFrame, *, n_nodes: int = 4, two_way: bool = False, arou
     table = results.summarise(chosen[chosen.label.isin(labels)], ["label", "density", "sigma2"], "edge_error")
     table = table.merge(paper_table(), how="left", on=["label", "density", "sigma2"])
     table["agrees"] = (table.low <= table.paper) & (table.paper <= table.high)
-    for name in ("floor", "expected"):
-        lines = chosen[chosen.metric == f"{name}_rms"].groupby(["density", "sigma2"])["value"].mean().rename(name)
-        table = table.merge(lines.reset_index(), how="left", on=["density", "sigma2"])
+    lines = chosen[chosen.metric.isin(["floor_rms", "expected_rms"])]
+    lines = lines.pivot_table("value", ["density", "sigma2"], "metric", "mean").rename(columns=_SHORT)
+    table = table.merge(lines.reindex(columns=["floor", "expected"]), how="left", on=["density", "sigma2"])
     n, per_pair = int(chosen.n.iloc[0]), 2 if two_way else 1
     thresholds = {share: recovery_threshold(n_nodes, n, per_pair, density=share) for share in table.density.unique()}
     table["recoverable"] = table.sigma2 < table.density.map(thresholds)
@@ -97,19 +109,12 @@ def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     bound_valid as in :func:`table1`.
     """
     scalar, keys = frame[frame["at"].isna()], ["problem", "label"]
-
-    def values(by: list[str], *names: str) -> pd.DataFrame:
-        rows = scalar[scalar.metric.isin(names)]
-        return rows.groupby([*by, "metric"])["value"].agg(summaries[names[0]]).unstack("metric").reset_index()
-
-    summaries = {"seconds": "median", "edge_rms": root_mean_square, "floor_rms": "mean"}
     runs = frame.drop_duplicates([*keys, "seed"])
-    failed = (runs.status != "ok").groupby([runs.problem, runs.label]).sum().rename("failed").reset_index()
-    errors = results.summarise(scalar, keys, "edge_error").rename(columns={"mean": "error"})
-    table = failed.merge(errors, how="left", on=keys)
-    table = table.merge(values(keys, "seconds", "cpu_seconds", "peak_memory"), how="left", on=keys)
-    table = table.merge(values(keys, "edge_rms").rename(columns={"edge_rms": "rms"}), how="left", on=keys)
-    table = table.merge(values(["problem"], "floor_rms", "expected_rms"), how="left", on="problem")
+    table = (runs.status != "ok").groupby([runs.problem, runs.label]).sum().rename("failed").reset_index()
+    table = table.merge(results.summarise(scalar, keys, "edge_error"), how="left", on=keys)
+    for by, names, mean in _SUMMARIES:
+        values = scalar[scalar.metric.isin(names)].pivot_table("value", by, "metric", mean)
+        table = table.merge(values, how="left", on=by)
     table = table.rename(columns=_SHORT).reindex(columns=_BOARD)
     sizes = table.problem.map(lambda problem: json.loads(problem).get("n", np.nan))
     table["bound_valid"] = [_holds(n, floor) for n, floor in zip(sizes, table.floor)]
@@ -135,7 +140,9 @@ def report(frame: pd.DataFrame) -> str:
         told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
     lines = ["\n".join(told)]
     if _is_paper(frame):
-        lines += [_text_of_table1(frame, variant) for variant in protocol_variants(frame)]
+        for variant in protocol_variants(frame):
+            wide = beside(table1(frame, **variant), interval=True)
+            lines.append(f"{variant_name(**variant)}\n{_LEGEND}\n{wide.to_string()}")
     else:
         for problem, group in scoreboard(frame).groupby("problem", sort=False):
             shown = group.assign(bound=bracketed(group)).drop(columns=["problem", "floor", "bound_valid"])
@@ -173,11 +180,36 @@ def _is_paper(frame: pd.DataFrame) -> bool:
     return bool(frame.suite.str.startswith("paper").all())
 
 
-def _text_of_table1(frame: pd.DataFrame, variant: dict) -> str:
-    legend = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
-    wide = beside(table1(frame, **variant), interval=True)
-    return f"{variant_name(**variant)}\n{legend}threshold; (bound) = errors are too large for it\n{wide.to_string()}"
-
-
 def _named(problem: str) -> str:
     return ", ".join(f"{name}={value}" for name, value in json.loads(problem).items())
+
+
+def relative_performance(frame: pd.DataFrame) -> pd.DataFrame:
+    """Error over that of the best method of a problem: label, ratio (geometric mean over problems), low, high, file.
+
+    ``frame`` holds the results of one suite; low and high are the ratios on the problems that suit a method best and
+    least. Methods without error, which see the truth, are left out. Best first.
+    """
+    board = scoreboard(frame)
+    rows = board[board.error > 0]
+    over = np.log(rows.error / rows.groupby("problem").error.transform("min")).groupby(rows.label)
+    table = np.exp(over.agg(ratio="mean", low="min", high="max"))
+    modules = frame.drop_duplicates("label").set_index("label").method.map(lambda name: methods.get(name).module)
+    table["file"] = modules.str.replace(".", "/") + ".py"
+    return table.sort_values("ratio").reset_index()
+
+
+def as_list(table: pd.DataFrame, title: str, most: float = 10.0) -> str:
+    """HTML of :func:`relative_performance`: a dot for the mean, a bar to the extremes, hollow for controls."""
+    rows = []
+    for row in table.itertuples():
+        dot, low, high = (100 * min(np.log(x) / np.log(most), 1.0) for x in (row.ratio, row.low, row.high))
+        scale = f'<i style="left:{low:.1f}%;width:{high - low:.1f}%"></i><b style="left:{dot:.1f}%"></b>'
+        kind = "fm-performance fm-control" if row.label in CONTROLS else "fm-performance"
+        words = html.escape(WORDS.get(row.label, row.label))
+        rows.append(
+            f'<details class="{kind}"><summary><span>{words}</span><span class="fm-scale">{scale}</span>'
+            f"<span>{row.ratio:.2f}</span></summary><p><code>{html.escape(row.label)}</code> is in "
+            f"<code>{row.file}</code>; {row.low:.2f} to {row.high:.2f} on single problems.</p></details>"
+        )
+    return f'<div class="fm-performances"><p><strong>{html.escape(title)}</strong></p>{"".join(rows)}</div>'

@@ -1,11 +1,9 @@
 """How fast the library is beside other software and the limits of the machine: ``results/speed.json``.
 
 ``python -m bench.speed`` measures each row at least five times, ours and its reference in turn, so that a machine whose
-speed changes meanwhile slows both. One thread, CPU seconds. ``--largest`` leaves larger problems out.
+speed changes meanwhile slows both. One thread, CPU seconds.
 """
 
-import argparse
-import os
 import subprocess
 import sys
 import time
@@ -29,7 +27,6 @@ from fmsync.samplers.rlfm import RLFM
 from fmsync.threads import single_threaded_blas
 
 SIZES, N, DEGREE, SIGMA2, RUNS = (300, 1000, 3000, 10000), 20, 20, 0.1, 5
-_PRECISIONS = ("float64", "float32")
 _PLAIN = (
     "import time, numpy, scipy.linalg, scipy.sparse.csgraph, scipy.special; t = time.process_time(); import fmsync; "
 )
@@ -131,7 +128,7 @@ def first_calls() -> dict[str, dict[str, float]]:
         code, runs = f"{_PLAIN}{call}print(time.process_time() - t)", []
         for _ in range(RUNS + 1):  # the first one fills the cache
             line = [sys.executable, "-W", "ignore", "-c", code]
-            runs.append(float(subprocess.run(line, check=True, capture_output=True, text=True, env=os.environ).stdout))
+            runs.append(float(subprocess.check_output(line, text=True)))
         low, middle, high = np.quantile(runs[1:], [0.25, 0.5, 0.75])
         found[name] = {"seconds": middle, "low": low, "high": high}
     return found
@@ -139,19 +136,16 @@ def first_calls() -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Measure, and write the file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--largest", type=int, default=SIZES[-1], help="leave out problems with more shapes")
-    largest = parser.parse_args().largest
     small, middle = problem(100), problem(1000)
     turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
     with single_threaded_blas():
         found = {
-            "sums": {kind: neighbour_sums(problem(min(3000, largest)), np.dtype(kind)) for kind in _PRECISIONS},
+            "sums": {kind: neighbour_sums(problem(3000), np.dtype(kind)) for kind in ("float64", "float32")},
             "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
             "warm": warm(middle, problem(1000, noise=3)),
             "steps": steps(),
             "mean": paired(lambda: so.frechet_mean(turns), lambda: so.log_eigen_unchecked(turns)),
-            "solves": [solves(problem(size)) for size in SIZES if size <= largest],
+            "solves": [solves(problem(size)) for size in SIZES],
         }
     found |= {"versions": versions(), "first": first_calls()}
     add_part(Path("results/speed.json"), "speed", found, "python -m bench.speed")

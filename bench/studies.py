@@ -36,7 +36,6 @@ def command_line(text: str, problems: int, jobs: int) -> argparse.ArgumentParser
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", type=int, default=problems, help="at most, of each case or of the first setting")
     parser.add_argument("--jobs", type=int, default=jobs)
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after about this long")
     parser.add_argument("--results", type=Path, default=Path("results"))
     return parser
 
@@ -61,21 +60,19 @@ def fill(
     todo: Sequence[tuple],
     work: Callable[..., Mapping[str, object]],
     jobs: int,
-    minutes: float,
     enough: Callable[[], bool] = lambda: False,
 ) -> None:
     """Add to a CSV file, as they come, lines ``work(*task)`` of the tasks whose first fields it does not hold yet.
 
-    A run that was stopped continues. It ends when all are done, after so many ``minutes``, or when ``enough()``.
+    A run that was stopped continues. It ends when all are done, or when ``enough()``.
     """
-    began, size = time.monotonic(), 4 * jobs
     done = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=fields)
     known = set(done[list(fields[: len(todo[0])])].itertuples(index=False, name=None))
     left = [task for task in todo if task not in known]
     with joblib.Parallel(jobs) as parallel:
-        for first in range(0, len(left), size):
-            if time.monotonic() - began >= 60 * minutes or enough():
+        for first in range(0, len(left), 4 * jobs):
+            if enough():
                 return
-            lines = parallel(joblib.delayed(work)(*task) for task in left[first : first + size])
+            lines = parallel(joblib.delayed(work)(*task) for task in left[first : first + 4 * jobs])
             new = pd.DataFrame(lines, columns=fields)
             new.to_csv(path, mode="a", header=not path.exists(), index=False, float_format="%.5g")

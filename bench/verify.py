@@ -26,9 +26,9 @@ from scipy import stats
 
 from bench import methods
 from bench.cache import data_hash
-from bench.execute import isolated
 from bench.metrics import METRICS, STANDARD_ERRORS, Metric
 from bench.provenance import machine, versions
+from bench.runner import isolated
 from bench.suites import Run
 from data_gen.cache import arithmetic
 

@@ -39,8 +39,8 @@ def cached(key: str, build: Callable[[], Arrays]) -> Arrays:
 
 
 def recipe(*files: str) -> str:
-    """Changes with these files of the package, so that an old cache is not read by a new version."""
-    sources = [Path(__file__).with_name(name).read_bytes() for name in files]
+    """Changes with these files, of this package or anywhere, so that an old cache is not read by a new version."""
+    sources = [(Path(__file__).parent / name).read_bytes() for name in files]
     return hashlib.sha256(b"".join(sources)).hexdigest()[:12]
 
 

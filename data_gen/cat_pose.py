@@ -1,4 +1,4 @@
-"""Poses: joint angles bend the skeleton, the skin follows as rigidly as it can, muscles swell and slacken.
+"""The cat and its poses: joint angles bend the skeleton, the skin follows rigidly, muscles swell and slacken.
 
 The joint angles of a pose are a mapping ``joint name -> (roll, pitch, yaw)`` in degrees about the x, y and z axes of
 the resting cat, applied at the joint and inherited by everything beyond it. Positive pitch turns the nose down and a
@@ -8,21 +8,36 @@ as mirror images. Its muscle tone is one number a bone: how much thicker than at
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data_gen.body import Bone, Cone, Pose, cone_distance
-from data_gen.cat_body import cat_body
-from data_gen.self_intersection import self_intersections
+from data_gen.body import Body, Bone, Cone, Pose, cone_distance
+from data_gen.mesher import self_intersections
+from fmsync.shape import triangle_areas, vertex_areas
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
 _TONE = 0.142  # thickness of tense and slack flesh differs this much from rest
 _ANCHOR = 0.02  # pull of the skinned position on vertices that belong to one bone alone
 _LIMBS = {"fore": ("upper arm", "forearm", "hand"), "hind": ("thigh", "shin", "foot", "toes")}
+
+
+def _read(name: str) -> dict:
+    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
+@cache
+def cat_body() -> Body:
+    """Both sides of the cat at rest, see ``cat_body.toml``; trunk and head together are about one unit long."""
+    told = _read("cat_body.toml")
+    bones = [Bone(name, parent or None, tuple(joint)) for name, parent, joint in told["bones"]]
+    body = Body(told["blend"], bones, [[Cone(*cone) for cone in part] for part in told["parts"]])
+    body.mirror()
+    return body
 
 
 def _angles(told: Mapping[str, list[float]]) -> Pose:
@@ -46,8 +61,7 @@ def _angles(told: Mapping[str, list[float]]) -> Pose:
     return pose
 
 
-_TOLD = tomllib.loads(Path(__file__).with_name("cat_poses.toml").read_text(encoding="utf-8"))
-POSES = {name: _angles(told) for name, told in _TOLD.items()}
+POSES = {name: _angles(told) for name, told in _read("cat_poses.toml").items()}
 
 
 def muscle_tone(k: int) -> np.ndarray:
@@ -61,24 +75,7 @@ def muscle_tone(k: int) -> np.ndarray:
 
 def joint_transforms(pose: Pose, skeleton: Sequence[Bone]) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (B, 3, 3) and translations (B, 3) that carry every bone into the pose."""
-    names = [bone.name for bone in skeleton]
-    angles = _both_sides(pose, names)
-    rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
-    for k, bone in enumerate(skeleton):
-        joint = np.array(bone.joint)
-        local = _rotation(*angles.get(bone.name, (0, 0, 0)))
-        offset = joint - local @ joint
-        if bone.parent is None:
-            rotations[k], translations[k] = local, offset
-        else:
-            parent = names.index(bone.parent)
-            rotations[k] = rotations[parent] @ local
-            translations[k] = rotations[parent] @ offset + translations[parent]
-    return rotations, translations
-
-
-def _both_sides(pose, names):
-    angles = {}
+    names, angles = [bone.name for bone in skeleton], {}
     for name, (roll, pitch, yaw) in pose.items():
         if name in names:
             angles[name] = (roll, pitch, yaw)
@@ -86,7 +83,15 @@ def _both_sides(pose, names):
             angles[f"left {name}"], angles[f"right {name}"] = (roll, pitch, yaw), (-roll, pitch, -yaw)
         else:
             raise ValueError(f"pose: no joint {name!r}; the joints are {', '.join(names)}")
-    return angles
+    rotations, translations = np.empty((len(names), 3, 3)), np.empty((len(names), 3))
+    for k, bone in enumerate(skeleton):
+        joint = np.array(bone.joint)
+        local = _rotation(*angles.get(bone.name, (0, 0, 0)))
+        turn, shift = np.eye(3), np.zeros(3)  # of the parent
+        if bone.parent is not None:
+            turn, shift = (of_bone[names.index(bone.parent)] for of_bone in (rotations, translations))
+        rotations[k], translations[k] = turn @ local, turn @ (joint - local @ joint) + shift
+    return rotations, translations
 
 
 def _rotation(roll, pitch, yaw):
@@ -130,9 +135,16 @@ class Rig:
         rest = self.vertices + (self.weights @ (tone * self._radii))[:, None] * self._normals
         carried = np.einsum("bij,vj->vbi", rotations, rest) + translations
         skinned = np.einsum("vb,vbi->vi", self.weights, carried)
-        posed = skinned
+        posed, edges = skinned, rest[self._to] - rest[self._from]
         for _ in range(_ARAP_STEPS):
-            posed = self._global_step(rest, self._local_step(rest, posed), skinned)
+            now = posed[self._to] - posed[self._from]
+            outer = (self._stiffness[:, None] * now)[:, :, None] * edges[:, None, :]
+            u, _, vt = np.linalg.svd((self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3))
+            u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+            turns = u @ vt  # those that best carry the resting edges around each vertex to the posed ones
+            both = 0.5 * (turns[self._from] + turns[self._to])
+            pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, -edges)
+            posed = self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
         return posed
 
     def first_free(self, poses: Iterable[tuple[Pose, np.ndarray]], name: str) -> np.ndarray:
@@ -142,22 +154,6 @@ class Rig:
             if len(self_intersections(vertices, self.faces)) == 0:
                 return vertices
         raise ValueError(f"{name}: all draws of its pose pass through themselves; try another seed")
-
-    def _local_step(self, rest, posed):
-        """The rotation (V, 3, 3) that best carries the resting edges around each vertex to the posed ones."""
-        rest = rest[self._to] - rest[self._from]
-        now = posed[self._to] - posed[self._from]
-        outer = (self._stiffness[:, None] * now)[:, :, None] * rest[:, None, :]
-        covariance = (self._gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
-        u, _, vt = np.linalg.svd(covariance)
-        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-        return u @ vt
-
-    def _global_step(self, rest, rotations, skinned):
-        rest = rest[self._from] - rest[self._to]
-        both = 0.5 * (rotations[self._from] + rotations[self._to])
-        pull = self._stiffness[:, None] * np.einsum("eij,ej->ei", both, rest)
-        return self._solve(self._gather @ pull + self._anchor[:, None] * skinned)
 
 
 def _factorised(matrix):
@@ -175,19 +171,13 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _cotangents(vertices, faces):
     """Stiffness matrix with non-negative weights (V, V), and vertex areas (V,)."""
-    entries, n = [], len(vertices)
-    corners = vertices[faces]
-    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        cosine = ((corners[:, i] - corners[:, k]) * (corners[:, j] - corners[:, k])).sum(1)
-        entries.append((faces[:, i], faces[:, j], 0.5 * cosine / double_area))
-    rows, columns, values = (np.concatenate(part) for part in zip(*entries))
-    half = coo_array((values, (rows, columns)), shape=(n, n))
+    corners, i, j = vertices[faces], [1, 2, 0], [2, 0, 1]
+    cosines = ((corners[:, i] - corners) * (corners[:, j] - corners)).sum(axis=2)  # (F, 3)
+    values = 0.25 * cosines.T / triangle_areas(vertices, faces)
+    half = coo_array((values.ravel(), (faces.T[i].ravel(), faces.T[j].ravel())), shape=(len(vertices),) * 2)
     weights = (half + half.T).tocsr()
     weights.data = np.maximum(weights.data, 1e-3)  # obtuse pairs would make the energy indefinite
-    areas = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), minlength=n)
-    return (diags_array(weights.sum(axis=1)) - weights).tocsc(), areas
+    return (diags_array(weights.sum(axis=1)) - weights).tocsc(), vertex_areas(vertices, faces)
 
 
 def _skinning_weights(vertices, stiffness, areas, names, flesh):

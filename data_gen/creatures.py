@@ -13,8 +13,7 @@ from data_gen.cache import cached, recipe
 from data_gen.cat_pose import Rig, vertex_normals
 from data_gen.cats import SOURCES, grow_right_half
 from data_gen.creature_body import draw_body
-from data_gen.mesher import half_skin, is_sphere
-from data_gen.self_intersection import self_intersections
+from data_gen.mesher import half_skin, is_sphere, self_intersections
 from fmsync import checks
 from fmsync.shape import Shape, edges_of_faces, vertex_areas
 
@@ -82,13 +81,15 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
     corners = eye_array(n_vertices, format="csr")
     for edges, _, _ in levels:
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
-    corners = corners.tocoo()
-    order = np.lexsort((-corners.data, corners.row))
-    located = corners.col.astype(np.int64)[order][np.unique(corners.row[order], return_index=True)[1]]
-    arrays = {}
+    located = np.asarray(corners.argmax(axis=1), dtype=np.int64).ravel()  # the nearest vertex, of equals the first
+    arrays, stems = {}, [bone.name.rstrip("0123456789") for bone in body.bones]
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
-        fields = _posed(rig, body, rng, f"species {species}, creature{k}"), faces, own, mirror, located
+        signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
+        tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
+        eases = (_EASE**attempt for attempt in range(_DRAWS))  # each draw is bent a little less than the one before
+        draws = ((body.pose(rng, ease), ease * tone) for ease in eases)
+        fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located
         if remeshed:
             fields = _remeshed(*fields[:2], levels, n_vertices, rng)
         arrays |= {f"{name}{k}": a for name, a in zip(_ARRAYS, fields)}
@@ -145,22 +146,12 @@ def _lopsided(vertices, faces, body, rng):
         vertices = vertices + excess * share * (vertices - joint)
 
         def grown(part: Bone | Cone, *ends: str) -> Bone | Cone:
-            if not (part.name if isinstance(part, Bone) else part.bone).startswith(stem):
-                return part
             places = {end: np.array(getattr(part, end)) for end in ends}
             return replace(part, **{end: tuple(at + excess * (at - joint)) for end, at in places.items()})
 
-        bones, cones = [grown(bone, "joint") for bone in bones], [grown(cone, "start", "end") for cone in cones]
+        bones = [grown(bone, "joint") if bone.name.startswith(stem) else bone for bone in bones]
+        cones = [grown(cone, "start", "end") if cone.bone.startswith(stem) else cone for cone in cones]
     return grow_right_half(vertices, growth, np.zeros(3)), bones, cones
-
-
-def _posed(rig, body, rng, name):
-    """The first draw that does not pass through itself, each bent a little less than the one before."""
-    stems = [bone.name.rstrip("0123456789") for bone in body.bones]
-    signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
-    tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
-    eases = (_EASE**attempt for attempt in range(_DRAWS))
-    return rig.first_free(((body.pose(rng, ease), ease * tone) for ease in eases), name)
 
 
 def _subdivisions(faces, mirror):

@@ -21,23 +21,9 @@ def langevin_noise(n: int, kappa: float, size: int, rng: int | np.random.Generat
     >>> bool(abs(np.trace(noise, axis1=1, axis2=2).mean() - 3.90) < 0.02)
     True
     """
-    kappa, rng = checks.not_negative("kappa", kappa), np.random.default_rng(rng)
-    angles = langevin_angles(n, kappa, size, rng) * rng.choice([-1.0, 1.0], (size, n // 2))
-    blocks = np.zeros((size, n, n))
-    blocks[:, n - 1, n - 1] = 1.0  # of odd n; overwritten for even n
-    first = 2 * np.arange(n // 2)
-    blocks[:, first, first] = blocks[:, first + 1, first + 1] = np.cos(angles)
-    blocks[:, first + 1, first] = np.sin(angles)
-    blocks[:, first, first + 1] = -np.sin(angles)
-    frame = so.random_uniform(n, size, rng)
-    return frame @ blocks @ so.transpose(frame)
-
-
-def langevin_angles(n: int, kappa: float, size: int, rng: np.random.Generator) -> np.ndarray:
-    """The ⌊n/2⌋ rotation angles in [0, π] of each draw, (size, n // 2), in the order drawn."""
-    k = n // 2
+    kappa, rng, k = checks.not_negative("kappa", kappa), np.random.default_rng(rng), n // 2
     grid, width, functions = _orthonormal_functions(n, kappa)
-    angles = np.empty((size, k))
+    angles = np.empty((size, k))  # in the order drawn
     for first in range(0, size, _CHUNK):
         count = min(_CHUNK, size - first)
         span = np.broadcast_to(np.eye(k), (count, k, k)).copy()  # rows: what is left of the function space
@@ -49,7 +35,15 @@ def langevin_angles(n: int, kappa: float, size: int, rng: np.random.Generator) -
             cell = np.minimum((cumulative < level[:, None]).sum(axis=1), len(grid) - 1)
             angles[first : first + count, step] = grid[cell] + width * (rng.random(count) - 0.5)
             span[:, : k - step - 1] = _without(left, np.einsum("brk,bk->br", left, functions[cell]))
-    return angles
+    angles *= rng.choice([-1.0, 1.0], angles.shape)
+    blocks = np.zeros((size, n, n))
+    blocks[:, n - 1, n - 1] = 1.0  # of odd n; overwritten for even n
+    first = 2 * np.arange(k)
+    blocks[:, first, first] = blocks[:, first + 1, first + 1] = np.cos(angles)
+    blocks[:, first + 1, first] = np.sin(angles)
+    blocks[:, first, first + 1] = -np.sin(angles)
+    frame = so.random_uniform(n, size, rng)
+    return frame @ blocks @ so.transpose(frame)
 
 
 def _orthonormal_functions(n: int, kappa: float) -> tuple[np.ndarray, float, np.ndarray]:

@@ -57,15 +57,10 @@ def perturb(
     if outlier_kind == "flip" and outliers > 0 and truth.flip is None:
         raise ValueError("outlier_kind: this truth has no mirror map; give ground_truth the flip of its first shape")
     generator = np.random.default_rng(rng)
-    record: dict[str, object] = {"noise": noise, "sigma2": sigma2, "kappa": kappa, "around": around}
-    record |= {
-        "two_way": two_way,
-        "repeats": repeats,
-        "outliers": outliers,
-        "outlier_kind": outlier_kind if outliers > 0 else None,
-        "rng": int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state,
-        "versions": dict(_VERSIONS),
-    }
+    seed = int(rng) if isinstance(rng, int | np.integer) else generator.bit_generator.state
+    record: dict[str, object] = {"noise": noise, "sigma2": sigma2, "kappa": kappa, "around": around, "rng": seed}
+    record |= {"two_way": two_way, "repeats": repeats, "outliers": outliers, "versions": dict(_VERSIONS)}
+    record["outlier_kind"] = outlier_kind if outliers > 0 else None
     edges, maps = truth.edges, truth.maps if around == "consistent" else truth.measured_maps
     if two_way:
         edges, maps = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([maps, so.transpose(maps)])

@@ -5,8 +5,6 @@ vertex order and projected to SO(n); absolute maps multiplied along a spanning t
 the protocol because measured maps are not exactly consistent: another tree gives another truth.
 """
 
-import hashlib
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +12,7 @@ import networkx as nx
 import numpy as np
 
 import fmsync.shape
-from data_gen.cache import cached, checksum
+from data_gen.cache import cached, checksum, recipe
 from data_gen.collections import require_common_order
 from data_gen.fingerprints import fingerprint
 from data_gen.graphs import graph_edges
@@ -127,8 +125,7 @@ def ground_truth(
 def _basis(shape: Shape, n_basis: int) -> Basis:
     """From the cache where the same functions were computed of the same mesh before."""
     mesh = {"vertices": shape.vertices} | ({} if shape.faces is None else {"faces": shape.faces})
-    code = "".join(inspect.getsource(module) for module in (fmsync.shape, block_krylov))
-    key = f"basis-{n_basis}-{checksum(mesh)[:24]}-{hashlib.sha256(code.encode()).hexdigest()[:12]}"
+    key = f"basis-{n_basis}-{checksum(mesh)[:24]}-{recipe(fmsync.shape.__file__, block_krylov.__file__)}"
     return Basis(**cached(key, lambda: vars(laplace_beltrami(shape.vertices, shape.faces, n_basis))))
 
 

@@ -92,7 +92,8 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
         if isinstance(value, classes):
             return _with_sizes(value, sizes)
         if convert is None:
-            raise ValueError(f"{name}: expected {expected}, got {type(value).__name__}")
+            made = "; fmsync.Shape(vertices, faces) and fmsync.adapters make one" * (expected == "Shape")
+            raise ValueError(f"{name}: expected {expected}, got {type(value).__name__}{made}")
         return convert(name, value, sizes)
 
     return test

@@ -66,10 +66,6 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="chapters executed at the same time")
     jobs = parser.parse_args().jobs
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the built pages share one viewer file
-    if shutil.which("git"):  # pages carry the date of the last commit: the same commit renders to the same bytes
-        told = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True)
-        if date := told.stdout.strip():
-            os.environ.setdefault("SOURCE_DATE_EPOCH", date)
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     os.utime(folder)

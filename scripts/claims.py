@@ -22,12 +22,11 @@ _OTHER |= {"Is": operator.is_, "IsNot": operator.is_not}
 class Claims(ast.NodeTransformer):
     """Replaces each ``assert`` by calls of ``__claim__``."""
 
-    def visit_Assert(self, node: ast.Assert) -> ast.stmt:
+    def visit_Assert(self, node: ast.Assert) -> list[ast.Expr]:
         is_and = isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.And)
         parts = node.test.values if is_and else [node.test]
-        calls = [ast.Expr(self._call(part)) for part in parts]
-        block = calls[0] if len(calls) == 1 else ast.If(ast.Constant(True), calls, [])
-        return ast.fix_missing_locations(ast.copy_location(block, node))
+        calls = (ast.copy_location(ast.Expr(self._call(part)), node) for part in parts)
+        return [ast.fix_missing_locations(call) for call in calls]
 
     def _call(self, test: ast.expr) -> ast.Call:
         comparison, reduce = test, None

@@ -1,27 +1,164 @@
-"""Draw six pictures for a talk into book/images/gallery, each from a real run or from the files in results."""
+"""Draw the pictures of book/images from real runs on eleven synthetic cats and from the files in results.
+
+The overview of the first page and the README: maps that disagree, maps that agree, and how sure they are, at the noise
+of the paper, σ² = 0.1; three cats are shown. Six pictures for a talk. And two smaller cats to explore.
+"""
 
 import io
 import json
+import os
 from pathlib import Path
+from types import SimpleNamespace
 
-import draw_overview
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pyvista as pv
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
 import data_gen
 import fmsync
 from fmsync import diagnostics, viz
+from fmsync.functional_maps import images_both_ways
 from fmsync.matching.samples import farthest_points
 from fmsync.viz.scenes import AXES, centred
 
 ROOT = Path(__file__).resolve().parents[1]
-GALLERY = ROOT / "book" / "images" / "gallery"
+IMAGES = ROOT / "book" / "images"
 RIGHT, WRONG = "#2f6f9f", "#d95f02"
-FIRST, OTHER = 0, 10  # of eleven cats
+PAIR = [0, 10]  # of eleven poses
+SHOWN = (0, 6, 9)  # of eleven poses; their colours are carried from the first
+_PLACES = ((0.5, 0.82), (0.19, 0.2), (0.81, 0.2))  # of the cats in a panel of unit size
+_INK = "#3b4652"
+_CAPTIONS = (
+    "1  Maps between pairs\ncontradict each other",
+    "2  Synchronised,\nthey agree",
+    "3  Draws of the posterior:\nwhere can it be trusted?",
+)
+
+
+def compute(n_vertices: int = 5000, n_draws: int = 600, warmup: int = 400) -> SimpleNamespace:
+    """Plant, observe, solve and sample: the shown ``shapes``; by "observed" and "synchronised" the ``matrices`` of the
+    pairs (0, 1), (1, 2), (2, 0) and the ``colours`` (V, 3) of each shape; the ``spread`` (V,) on the last one, √area.
+    """
+    shapes = data_gen.load_collection("cats", n_vertices=n_vertices)
+    truth = data_gen.ground_truth(shapes)
+    problem = data_gen.perturb(truth, sigma2=0.1, rng=1)
+    observed = {tuple(edge): c for edge, c in zip(problem.edges.tolist(), problem.maps)}
+    observed |= {(j, i): c.T for (i, j), c in observed.items()}
+    a, b, c = SHOWN
+    loop, to_first, estimate = [(a, b), (b, c), (c, a)], [(b, a), (c, a)], fmsync.solve(problem)
+    maps = {
+        "observed": lambda pairs: [observed[pair] for pair in pairs],
+        "synchronised": lambda pairs: list(estimate.relative(np.array(pairs))),
+    }
+    home = viz.colours_from_coordinates(shapes[a].vertices)
+    colours = {
+        name: [home] + [home[fmsync.point_map(m, truth.bases[k], truth.bases[a])] for k, m in zip((b, c), of(to_first))]
+        for name, of in maps.items()
+    }
+    options = {"n_chains": 2, "n_draws": n_draws, "thin": 3, "warmup": warmup}
+    posterior = fmsync.sample(problem, "heat-bath", likelihood="projected-gaussian", **options)
+    draws = posterior.relative([[c, a]])[:, :: max(1, n_draws // 50)].reshape(-1, 20, 20)  # a hundred will do
+    there = shapes[a].normalised().vertices
+    images = np.stack([there[fmsync.point_map(d, truth.bases[c], truth.bases[a])] for d in draws])  # (T, V, 3)
+    spread = np.sqrt(((images - images.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
+    told = {"matrices": {name: of(loop) for name, of in maps.items()}, "colours": colours, "spread": spread}
+    return SimpleNamespace(shapes=[shapes[k] for k in SHOWN], **told)
+
+
+def explorer(n_vertices: int = 2000, n_draws: int = 100, warmup: int = 300) -> viz.Explorer:
+    """Two of eleven cats, and where their vertices go at three levels of the noise."""
+    shapes = [shape.normalised() for shape in data_gen.load_collection("cats", n_vertices=n_vertices)]
+    truth = data_gen.ground_truth(shapes)
+    pair, chosen = PAIR, farthest_points(shapes[0].vertices, min(n_vertices, 200))
+    chosen = np.append(chosen, data_gen.front_paw(shapes[0]))  # which the chapters follow
+    states: dict[str, list[viz.State]] = {"observed": [], "synchronised": [], "posterior": []}
+    for sigma2 in (0.03, 0.1, 0.3):
+        problem = data_gen.perturb(truth, sigma2=sigma2, rng=6)
+        at = problem.edges.tolist().index(pair)
+        options = {"n_chains": 2, "n_draws": n_draws // 2, "thin": 3, "warmup": warmup}
+        with diagnostics.short_run():  # a hundred draws, no more
+            posterior = fmsync.sample(problem, "heat-bath", likelihood="projected-gaussian", **options)
+        maps = {
+            "observed": problem.maps[at : at + 1],
+            "synchronised": fmsync.solve(problem).relative(np.array([pair])),
+            "posterior": posterior.relative([pair]).reshape(-1, truth.n, truth.n),
+        }
+        bases = [truth.bases[k] for k in pair]
+        for view, c in maps.items():
+            states[view].append(viz.State(view, images_both_ways(c, bases, (chosen, chosen)), noise=sigma2))
+    return viz.explorer(
+        [shapes[k] for k in pair],
+        (chosen, chosen),
+        [state for view in states.values() for state in view],
+        truth=(chosen, chosen),
+        start=7,
+        vertex=len(chosen) - 1,
+        alt="Two cats: a chosen vertex of one, and on the other the light of its images under a hundred draws.",
+    )
+
+
+def draw_cat(ax: Axes, shape: fmsync.Shape, values: np.ndarray, centre: tuple, size: float, **options) -> None:
+    """Draw a shape around a point, its longer side ``size``, white turned into transparent."""
+    png = viz.scene([shape], [values], [""], alt="a cat", **options).png
+    picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA")).copy()
+    white = (picture[..., :3] > 250).all(axis=2)
+    picture[white, 3] = 0
+    rows, columns = np.flatnonzero(~white.all(axis=1)), np.flatnonzero(~white.all(axis=0))
+    picture = picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    height, width = size * np.array(picture.shape[:2]) / max(picture.shape[:2]) / 2
+    x, y = centre
+    extent = (x - width, x + width, y - height, y + height)
+    ax.imshow(picture, extent=extent, interpolation="antialiased", zorder=3)
+
+
+def triangle(ax: Axes, story: SimpleNamespace, name: str) -> None:
+    """Three cats, the maps between them, and whether their product around the triangle is the identity."""
+    for shape, colours, centre in zip(story.shapes, story.colours[name], _PLACES):
+        draw_cat(ax, shape, colours, centre, 0.4)
+    for k, matrix in enumerate(story.matrices[name]):
+        (x0, y0), (x1, y1) = _PLACES[k], _PLACES[(k + 1) % 3]
+        ax.plot((x0, x1), (y0, y1), color="#c3cad1", lw=1.5, zorder=1)
+        x, y, half = (x0 + x1) / 2, (y0 + y1) / 2, 0.085
+        ax.imshow(matrix, cmap="RdBu", clim=(-1, 1), extent=(x - half, x + half, y - half, y + half), zorder=4)
+        ax.add_patch(plt.Rectangle((x - half, y - half), 2 * half, 2 * half, fill=False, ec=_INK, lw=0.8, zorder=5))
+    closes = r"$= I$" if name == "synchronised" else r"$\neq I$"
+    ax.text(0.5, 0.46, "↻", ha="center", va="center", fontsize=32, color=_INK, family="DejaVu Sans")
+    ax.text(0.5, 0.355, closes, ha="center", va="center", fontsize=20, color=_INK)
+
+
+def certainty(ax: Axes, story: SimpleNamespace) -> None:
+    """A cat coloured by how far the draws send each vertex apart."""
+    limit = float(np.quantile(story.spread, 0.98))
+    draw_cat(ax, story.shapes[-1], story.spread, (0.5, 0.56), 0.8, clim=(0, limit), flat=True)
+    ax.imshow(np.linspace(0, 1, 256)[None], cmap="viridis", extent=(0.24, 0.72, 0.075, 0.105), zorder=3)
+    ax.text(0.23, 0.09, "sure", ha="right", va="center", fontsize=14, color=_INK)
+    ax.text(0.73, 0.09, "unsure", ha="left", va="center", fontsize=14, color=_INK)
+
+
+def save(fig: Figure, path: Path) -> None:
+    """A PNG without dates, so that the same drawing gives the same bytes."""
+    raw = io.BytesIO()
+    fig.savefig(raw, format="png", dpi=fig.dpi, facecolor="white", metadata={"Software": None})
+    plt.close(fig)
+    Image.open(raw).convert("RGB").save(path, optimize=True)
+
+
+def three_panels(story: SimpleNamespace) -> Figure:
+    """The whole picture, with a caption under each panel."""
+    fig, axes = plt.subplots(1, 3, figsize=(9.6, 3.7), dpi=96, layout="none")
+    fig.subplots_adjust(0, 0.12, 1, 1, 0.02, 0)
+    triangle(axes[0], story, "observed")
+    triangle(axes[1], story, "synchronised")
+    certainty(axes[2], story)
+    for axis, caption in zip(axes, _CAPTIONS):
+        axis.set_axis_off()
+        axis.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+        axis.text(0.5, -0.08, caption, ha="center", va="center", fontsize=12, color=_INK)
+    return fig
 
 
 def sign_trap(shapes: list[fmsync.Shape]) -> Figure:
@@ -36,7 +173,7 @@ def sign_trap(shapes: list[fmsync.Shape]) -> Figure:
     for row, some, name in zip(axes, (bases, fixed), ("as computed", "signs fixed")):
         for ax, k in zip(row, (0, a)):
             values = some[k].eigenfunctions[:, at] * np.sqrt(shapes[k].area)
-            draw_overview.draw_cat(ax, shapes[k], values, (0.5, 0.5), 0.95, cmap="RdBu_r", clim=(-2, 2))
+            draw_cat(ax, shapes[k], values, (0.5, 0.5), 0.95, cmap="RdBu_r", clim=(-2, 2))
             ax.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
             ax.set_axis_off()
         c = fmsync.functional_map(some[0], some[a], every)
@@ -67,17 +204,15 @@ def matched(shapes: list[fmsync.Shape], images: dict[str, np.ndarray]) -> Figure
         for v, bad in zip(seen, wrong):
             line = pv.Line(left[v], right[image[v]]).tube(radius=0.003 * np.ptp(right))
             plotter.add_mesh(line, color=WRONG if bad else RIGHT)
-        plotter.camera.position, plotter.camera.focal_point = middle + 10 * AXES[:, 2], middle
-        plotter.camera.up = (0, 0, 1)
+        plotter.camera_position = (middle + 10 * AXES[:, 2], middle, (0, 0, 1))
         plotter.enable_parallel_projection()
         plotter.camera.parallel_scale = 0.52 * np.ptp(up)
         plotter.camera.reset_clipping_range()
         ax.imshow(plotter.screenshot(return_img=True))
         plotter.close()
         ax.set_axis_off()
-        ax.set_title(
-            f"{name}: {np.mean(~wrong):.0%} of the lines end near their place", color=WRONG if wrong.any() else RIGHT
-        )
+        told = f"{name}: {np.mean(~wrong):.0%} of the lines end near their place"
+        ax.set_title(told, color=WRONG if wrong.any() else RIGHT)
     return fig
 
 
@@ -97,23 +232,15 @@ def posterior(shapes: list[fmsync.Shape], vertex: int, images: np.ndarray) -> Fi
 def calibration(coverage: pd.DataFrame) -> Figure:
     """What regions promise and what they hold, for the noise of the paper."""
     fig, ax = plt.subplots(figsize=(5, 4))
-    promised = (0.5, 0.8, 0.9, 0.95)
-    names = {
-        "projected-gaussian": "the exact likelihood",
-        "langevin": "Langevin likelihood, κ inferred",
-        "beta = 1": "β = 1",
-    }
-    rows = coverage[coverage.noise == "projected-gaussian"]
-    for (model, label), colour in zip(names.items(), ("C2", "C0", "C1")):
+    promised, rows = (0.5, 0.8, 0.9, 0.95), coverage[coverage.noise == "projected-gaussian"]
+    models = ("projected-gaussian", "langevin", "beta = 1")
+    labels = ("the exact likelihood", "Langevin likelihood, κ inferred", "β = 1")
+    for model, label, colour in zip(models, labels, ("C2", "C0", "C1")):
         held = rows[rows.model == model][[f"{q:g}" for q in promised]]
         ax.plot(promised, held.T, "o-", color=colour, label=[label] + [None] * (len(held) - 1))
     ax.plot((0.45, 1), (0.45, 1), "k--")
-    ax.set(
-        xlabel="promised",
-        ylabel="share of true maps held",
-        ylim=(0.4, 1.03),
-        title="Do regions hold what they promise?",
-    )
+    ax.set(xlabel="promised", ylabel="share of true maps held", ylim=(0.4, 1.03))
+    ax.set_title("Do regions hold what they promise?")
     ax.legend(loc="lower right")
     return fig
 
@@ -134,31 +261,32 @@ def scale(solves: pd.DataFrame) -> Figure:
 
 def main() -> None:
     """Plant, observe, solve, sample and draw."""
+    story = compute()
+    save(three_panels(story), IMAGES / "overview.png")
+    os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the page brings the script
+    (IMAGES / "explorer.html").write_text(explorer().html() + "\n", encoding="utf-8")
     viz.style()
     shapes = [s.normalised() for s in data_gen.load_collection("cats")]
     truth = data_gen.ground_truth(shapes)
-    noisy, pair = data_gen.perturb(truth, sigma2=0.1, rng=6), [FIRST, OTHER]
+    noisy, pair = data_gen.perturb(truth, sigma2=0.1, rng=6), PAIR
     with diagnostics.short_run():  # a hundred draws will do
         options = {"n_chains": 2, "n_draws": 50, "thin": 3, "warmup": 300, "likelihood": "projected-gaussian"}
         draws = fmsync.sample(noisy, "heat-bath", **options).relative([pair]).reshape(-1, truth.n, truth.n)
     bases, two, paw = [truth.bases[k] for k in pair], [shapes[k] for k in pair], data_gen.front_paw(shapes[0])
-    maps = {
-        "observed": noisy.maps[noisy.edges.tolist().index(pair)],
-        "synchronised": fmsync.solve(noisy).relative([pair])[0],
-    }
+    maps = {"observed": noisy.maps[noisy.edges.tolist().index(pair)]}
+    maps["synchronised"] = fmsync.solve(noisy).relative([pair])[0]
     solves = pd.DataFrame(json.loads((ROOT / "results" / "speed.json").read_text())["speed"]["solves"])
     figures = {
-        "overview": draw_overview.three_panels(draw_overview.compute()),
+        "overview": three_panels(story),
         "sign_trap": sign_trap(shapes),
         "synchronisation": matched(two, {name: fmsync.point_map(c, *bases) for name, c in maps.items()}),
         "posterior": posterior(two, paw, fmsync.functional_maps.vertex_images(draws, *bases, paw)),
         "calibration": calibration(pd.read_csv(ROOT / "results" / "calibration_coverage.csv")),
         "scale": scale(solves),
     }
-    GALLERY.mkdir(exist_ok=True)
     for name, figure in figures.items():
         figure.set_dpi(192)  # twice that of a screen
-        draw_overview.save(figure, GALLERY / f"{name}.png")
+        save(figure, IMAGES / "gallery" / f"{name}.png")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ and year). A first cell says how to install, and defines the macros of the formu
 import argparse
 import re
 import sys
+import tomllib
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -18,25 +19,15 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK = ROOT / "book"
-_COLAB = """# Google Colab only: fetch the project and what it needs. Elsewhere this cell does nothing.
-import sys
-
-if "google.colab" in sys.modules:
-    !git clone -q --depth 1 --branch {branch} {url} /content/project
-    %cd -q /content/project/book/notebooks
-    %pip install -q -e "/content/project[bench]"
-    sys.path.insert(0, "/content/project")"""
+_CELLS = tomllib.loads(Path(__file__).with_name("first_cells.toml").read_text(encoding="utf-8"))
 _FENCE = re.compile(r"^(?P<fence>:{3,}|`{3,})\{(?P<name>[\w:-]+)\}[ ]*(?P<title>[^\n]*)$")
 _OPTION = re.compile(r"^:[\w-]+:.*$")
 _ROLES = re.compile(r"\{(?P<role>[a-z:]+)\}`(?:(?P<text>[^`<]+?)\s*<[^`>]+>|(?P<target>[^`]+))`")
 _NUMBERED = re.compile(r"\{(?:numref|prf:ref)\}`([\w-]+)`")
+_EXERCISE = re.compile(r"(\{exercise\}(?=\n:)|\{solution-start\})(?:\n:label:)? ([\w-]+)")
 _KINDS = {"fig": "Fig.", "tab": "Table", "thm": "Theorem", "def": "Definition", "rem": "Remark", "ex": "Exercise"}
 _LABELS = re.compile(rf"(?:name|label): (({'|'.join(_KINDS)})-[\w-]+)$", re.MULTILINE)
-_STAGES = ("shapes", "maps", "synchronised", "draws", "regions")  # of the method
-_FIRST = """*A chapter of the fmsync book. To run it in any folder, install the project once from its checkout:*
-`pip install -e "PATH/TO/fmsync[bench]"`
-
-{macros}"""
+_STAGES = tuple(tomllib.loads((BOOK / "_ext" / "stages.toml").read_text(encoding="utf-8"))["stages"])  # of the method
 
 
 def chapters(book: Path = BOOK) -> dict[str, Path]:
@@ -76,9 +67,7 @@ def _heading(directive: str, title: str) -> list[str]:
     name = directive.split(":")[-1].split("-")[0].capitalize()
     if directive == "stages":
         return [" → ".join(f"**{s}**" if s == title else s for s in _STAGES), ""]
-    if directive == "admonition":
-        name, title = title, ""
-    if title.startswith(name + " "):  # an exercise with its number
+    if directive == "admonition" or title.startswith(name + " "):  # an exercise with its number
         name, title = title, ""
     if directive == "math" or directive.endswith("-end") or not name:
         return []
@@ -103,11 +92,7 @@ def _plain(found: re.Match) -> str:
 @cache
 def _titles() -> dict[str, str]:
     pages = {md.stem: re.search(r"^# (.+)$", md.read_text(encoding="utf-8"), re.MULTILINE) for md in BOOK.rglob("*.md")}
-    return {
-        name: _ROLES.sub(lambda found: found["text"] or found["target"], head[1])
-        for name, head in pages.items()
-        if head
-    }
+    return {name: _ROLES.sub(lambda f: f["text"] or f["target"], head[1]) for name, head in pages.items() if head}
 
 
 @cache
@@ -141,39 +126,30 @@ def repository() -> dict[str, str]:
 def render(md: Path) -> str:
     """The notebook of one chapter as the text of its .ipynb file."""
     notebook, home = jupytext.read(md), repository()
-    notebook.cells.insert(0, nbformat.v4.new_markdown_cell(_FIRST.format(macros=_macros())))
+    notebook.cells.insert(0, nbformat.v4.new_markdown_cell(_CELLS["first"].format(macros=_macros())))
     if home["url"]:
-        notebook.cells.insert(0, nbformat.v4.new_code_cell(_COLAB.format(**home)))
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(_CELLS["colab"].format(**home)))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = nbformat.from_dict({"kernelspec": kernel, "language_info": {"name": "python"}})
-    called = _called(md)
+    called, cells = _called(md), []
     named = _elsewhere() | called
-    notebook.cells = _captioned(notebook.cells, called)
-    for k, cell in enumerate(notebook.cells):
+    for cell in notebook.cells:
+        cells.append(cell)
+        if figure := cell.metadata.get("mystnb", {}).get("figure"):
+            caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
+            cells.append(nbformat.v4.new_markdown_cell(caption))
+    notebook.cells = cells
+    for k, cell in enumerate(cells):
         cell["id"] = f"{md.stem}-{k:03d}"
         if cell.cell_type == "code":
-            cell["outputs"], cell["execution_count"] = [], None
             if "hide-input" in cell["metadata"].get("tags", ()):
                 cell["metadata"]["jupyter"] = {"source_hidden": True}
         else:
             text = _NUMBERED.sub(lambda found: named[found[1]], cell["source"])
-            text = re.sub(r"(\{exercise\})\n:label: ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
-            text = re.sub(r"(\{solution-start\}) ([\w-]+)", lambda found: f"{found[1]} {named[found[2]]}", text)
-            cell["source"] = readable(text)
+            cell["source"] = readable(_EXERCISE.sub(lambda found: f"{found[1]} {named[found[2]]}", text))
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     nbformat.validate(notebook)
     return nbformat.writes(notebook) + "\n"
-
-
-def _captioned(cells: list, called: dict[str, str]) -> list:
-    """The cells with the caption of each figure or table after it."""
-    found = []
-    for cell in cells:
-        found.append(cell)
-        if figure := cell.metadata.get("mystnb", {}).get("figure"):
-            caption = f"*{called[figure['name']]}.* {figure['caption'].strip()}"
-            found.append(nbformat.v4.new_markdown_cell(caption))
-    return found
 
 
 def _called(md: Path) -> dict[str, str]:

@@ -9,19 +9,22 @@ bad input.
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
+from multiprocessing import get_context
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
+from jupyter_cache.executors.utils import single_nb_execution
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(ROOT / "scripts")]
-from fmsync_book import cache_folder, pages, surroundings  # noqa: E402
+from build_book import cpu_of_kernels, quiet_profile  # noqa: E402
+from fmsync_book import cache_folder, notebook_of, pages, surroundings  # noqa: E402
 from other_arithmetic import other_arithmetic  # noqa: E402
 
 from fmsync.files import replacing  # noqa: E402
@@ -36,47 +39,28 @@ def shifts(seed: int) -> list[int]:
     return np.random.default_rng(seed).integers(1, 10**6, _N_SHIFTS).tolist()
 
 
-def run(page: Path, arithmetic: str, shift: int, keep: Path) -> dict:
-    """The record of a page in a world: its claims, its warnings, an error that stopped it, its seconds."""
-    if keep.is_file():
-        return json.loads(keep.read_text(encoding="utf-8"))
-    environment = os.environ | {"FMSYNC_SEED_SHIFT": str(shift)}
-    if arithmetic == "other":
-        environment |= other_arithmetic()
-    command = [sys.executable, __file__, "--page", str(page)]
-    began = time.perf_counter()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"{page.stem}: the run itself failed\n{done.stderr}")
-    record = json.loads(done.stdout.splitlines()[-1]) | {"arithmetic": arithmetic, "shift": shift}
+def run(page: Path, arithmetic: str, shift: int, keep: Path) -> None:
+    """Write the record of a page in a world (see ``claims.py``): claims, warnings, what stopped it, its seconds."""
+    began, before = time.perf_counter(), cpu_of_kernels()
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder) / "claims.jsonl"
+        profile = quiet_profile(Path(folder), extension=ROOT / "scripts" / "claims.py")
+        world = {"FMSYNC_SEED_SHIFT": str(shift), "FMSYNC_CLAIMS": str(told), "IPYTHONDIR": profile}
+        with mock.patch.dict(os.environ, world | (other_arithmetic() if arithmetic == "other" else {})):
+            result = single_nb_execution(notebook_of(page), str(page.parent), timeout=_LONGEST, allow_errors=False)
+        records = [json.loads(line) for line in told.read_text(encoding="utf-8").splitlines()] if told.exists() else []
+    record = {
+        "claims": [r for r in records if "claim" in r],
+        "warnings": [r["warning"] for r in records if "warning" in r],
+        "error": (result.exc_string or "").strip().rpartition("\n")[2] or None if result.err else None,
+        "cpu_seconds": round(cpu_of_kernels() - before, 1),
+        **{"arithmetic": arithmetic, "shift": shift},
+    }
     keep.parent.mkdir(parents=True, exist_ok=True)
     with replacing(keep) as file:
         file.write(json.dumps(record).encode())
     outcome = f"{'; '.join(failures(record)) or 'held'} ({time.perf_counter() - began:.0f} s)"
     print(f"{page.stem} {arithmetic} {shift:+d}: {outcome}", flush=True)
-    return record
-
-
-def run_here(page: Path) -> dict:
-    """Execute a page with the environment of this process, its claims recorded (see ``claims.py``)."""
-    sys.modules.setdefault("rfc3987_syntax", None)  # jsonschema goes without it, and it takes seconds to import
-    from build_book import cpu_of_kernels, quiet_profile
-    from jupyter_cache.executors.utils import single_nb_execution
-    from myst_nb.core.read import read_myst_markdown_notebook
-
-    notebook = read_myst_markdown_notebook(page.read_text(encoding="utf-8"), path=str(page))
-    with tempfile.TemporaryDirectory() as folder:
-        told = Path(folder) / "claims.jsonl"
-        os.environ["FMSYNC_CLAIMS"] = str(told)
-        os.environ["IPYTHONDIR"] = quiet_profile(Path(folder), extension=ROOT / "scripts" / "claims.py")
-        result = single_nb_execution(notebook, cwd=str(page.parent), timeout=_LONGEST, allow_errors=False)
-        records = [json.loads(line) for line in told.read_text(encoding="utf-8").splitlines()] if told.exists() else []
-    return {
-        "claims": [r for r in records if "claim" in r],
-        "warnings": [r["warning"] for r in records if "warning" in r],
-        "error": (result.exc_string or "").strip().rpartition("\n")[2] or None if result.err else None,
-        "cpu_seconds": round(cpu_of_kernels(), 1),
-    }
 
 
 def failures(record: dict) -> list[str]:
@@ -106,12 +90,7 @@ def main() -> int:
     parser.add_argument("chapters", nargs="*", metavar="CHAPTER", help="names such as 05_oracle; default: all")
     parser.add_argument("--seed", type=int, default=0, help="draws the four shifts (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="runs at the same time (default: %(default)s)")
-    parser.add_argument("--native", action="store_true", help="this processor's arithmetic alone; writes no table")
-    parser.add_argument("--page", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.page:
-        print(json.dumps(run_here(options.page)))
-        return 0
     known = {page.stem: page for page in pages()}
     wrong = [f"CHAPTERS: there is no {c!r}; there are {', '.join(known)}" for c in options.chapters if c not in known]
     if "FMSYNC_SEED_SHIFT" in os.environ:
@@ -120,18 +99,19 @@ def main() -> int:
         print(wrong[0], file=sys.stderr)
         return 2
     chosen = {c: p for c, p in known.items() if not options.chapters or c in options.chapters}
-    worlds = [(a, s) for s in shifts(options.seed) for a in (("native",) if options.native else ("native", "other"))]
+    worlds = [(a, s) for s in shifts(options.seed) for a in ("native", "other")]
     columns = [f"{a} {s:+d}" for a, s in worlds]
     folder = ROOT / "_build" / "worlds" / cache_folder().name
-    tasks = []
-    for page in chosen.values():
-        digest = sha256(page.read_bytes()).hexdigest()[:12]
-        tasks += [(page, a, s, folder / f"{page.stem}-{digest}-{a}-{s}.json") for a, s in worlds]
-    with ThreadPoolExecutor(options.jobs) as pool:
-        records = list(pool.map(lambda task: run(*task), tasks))
+    tasks = {}
+    for chapter, page in chosen.items():
+        stem = f"{chapter}-{sha256(page.read_bytes()).hexdigest()[:12]}"
+        tasks[chapter] = [(page, a, s, folder / f"{stem}-{a}-{s}.json") for a, s in worlds]
+    left = [task for own in tasks.values() for task in own if not task[-1].is_file()]
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        list(pool.map(run, *zip(*left)))
     failed, table = [], {}
-    for k, chapter in enumerate(chosen):
-        own = records[k * len(worlds) : (k + 1) * len(worlds)]
+    for chapter, runs in tasks.items():
+        own = [json.loads(keep.read_text(encoding="utf-8")) for *_, keep in runs]
         margins = closest(own)
         near, claim = margins[0] if margins else (None, None)
         table[chapter] = {"failures": [failures(r) for r in own], "closest": claim, "margin": near and round(near, 1)}
@@ -142,8 +122,7 @@ def main() -> int:
             if far < 4:
                 print(f"    also close, {far:.1f}: {claim}")
         failed += [f"{chapter} {world}: {line}" for world, r in zip(columns, own) for line in failures(r)]
-    if not options.native:
-        write_table(table, columns, options.seed)
+    write_table(table, columns, options.seed)
     print(*failed, sep="\n")
     return bool(failed)
 

@@ -112,6 +112,11 @@ def test_a_mesh_of_pyfm_comes_with_its_basis_at_unit_area(mesh):
     np.testing.assert_allclose(same.eigenfunctions, basis.eigenfunctions, rtol=1e-12)
 
 
+def test_a_mesh_of_pyfm_in_place_of_a_shape_is_told_the_way(mesh):
+    with pytest.raises(ValueError, match=r"shapes\[1\]: expected Shape, got TriMesh; .*fmsync.adapters make one"):
+        fmsync.synchronize_shapes([mesh, adapters.to_pyfm(mesh)])
+
+
 def test_pyfm_maps_that_do_not_fit_are_named():
     with pytest.raises(ValueError, match=r"FM of \(1, 2\) is \(4, 3\), expected \(3, 3\)"):
         adapters.from_pyfm_maps({(0, 1): np.eye(3), (1, 2): np.ones((4, 3))})

@@ -451,7 +451,8 @@ def test_scenes_are_alive_wherever_they_can_be():
         _absent("no page has a scene")
     for name in SCENES:
         text = (HTML / name).read_text(encoding="utf-8")
-        assert ('<script type="text/plain">' in text) == can_render(), name
+        alive = text.count('<script type="text/plain">') - text.count('<div class="fm-explorer"')  # needs no OpenGL
+        assert (alive > 0) == can_render(), name
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -28,10 +28,9 @@ def _load(path: str):
 
 
 zip_book = _load("scripts/zip_book.py")
-overview = _load("scripts/draw_overview.py")
+overview = _load("scripts/draw_gallery.py")
 sync_notebooks = _load("scripts/sync_notebooks.py")
 book = _load("book/_ext/fmsync_book.py")
-reference = _load("book/_ext/fmsync_reference.py")
 
 
 @pytest.fixture
@@ -81,7 +80,7 @@ def test_every_chapter_is_in_the_contents_once():
 def test_status_tells_what_ran_and_what_did_not():
     ran, missing = Path("chapters/ran.md"), Path("chapters/missing.md")
     data = {"execution_seconds": 90.2, "cpu_seconds": 60.0, "machine": "a machine", "shapes": "cats", "system": "Linux"}
-    lines = reference.status_table([ran, missing], {ran: data})
+    lines = book.status_table([ran, missing], {ran: data})
     assert "| {doc}`/chapters/ran` | 90 | 60 | passed |" in lines
     assert "| {doc}`/chapters/missing` | – | – | not run |" in lines
     assert "Together 1.0 CPU-minutes." in lines
@@ -171,7 +170,7 @@ def test_the_picture_tells_the_truth():
 
 def test_licences_name_each_package_once_and_what_is_not_installed():
     extras = {"a": ["tqdm"], "own": ["fmsync[viz]"]}
-    rows = reference.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
+    rows = book.licence_table({"dependencies": ["tqdm>=4", "no_such>=1"], "optional-dependencies": extras})
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| no_such", "| tqdm"]
     assert rows[2].endswith("| – | – |")
     assert rows[3].startswith("| tqdm | core | ")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.planted import Planted
+from bench.problems import Planted
 from fmsync import estimators, samplers
 from fmsync.estimators.base import ESTIMATORS
 from fmsync.problem import SyncProblem, relative_maps
@@ -75,7 +75,7 @@ class Method:
         return set(own) - _NOT_OPTIONS | ({"restarts"} if self.kind == "estimator" and "init" in own else set())
 
     def run(self, planted: Planted, rng: Rng, options: Mapping[str, object]) -> Answer:
-        """Answer a :class:`~bench.planted.Planted` problem."""
+        """Answer a :class:`~bench.problems.Planted` problem."""
         if self.kind == "estimator":
             return Answer(estimators.solve(planted.problem, self.name, rng=rng, **options).relative)
         if self.kind == "sampler":

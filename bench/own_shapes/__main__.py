@@ -20,9 +20,9 @@ import argparse
 from pathlib import Path
 
 from bench.own_shapes import confidence, given, outliers, species
-from bench.own_shapes.evaluation import collection
 from bench.own_shapes.stages import remeshed
 from bench.studies import add_part
+from data_gen import load_collection
 
 PARTS = {
     "collections": confidence.collections,
@@ -33,12 +33,13 @@ PARTS = {
     "given": given.table,
 }
 _KEPT = Path("_build/species")  # points of finished species
+_MAKES = {"species": lambda: species.table(_KEPT), "outliers": lambda: outliers.table(_KEPT.with_name("outliers"))}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure one part and add it to the file of results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "species", "outliers", "refit"])
+    parser.add_argument("part", choices=[*PARTS, *_MAKES, "refit"])
     parser.add_argument("collections", nargs="*")
     parser.add_argument("--out", type=Path, default=Path("results/own_shapes.json"))
     options = parser.parse_args(arguments)
@@ -47,13 +48,11 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"collections: {options.part} reads {'at least one' if options.part in PARTS else 'none'}")
     if options.part == "refit":
         species.fitted(species.all_points(species.FIT, _KEPT)).save(options.out)
-    elif options.part == "species":
-        add_part(options.out, "species", species.table(_KEPT), command)
-    elif options.part == "outliers":
-        add_part(options.out, "outliers", outliers.table(_KEPT.with_name("outliers")), command)
-    else:
-        loaded = {Path(name).name: collection(name) for name in options.collections}
-        add_part(options.out, options.part, PARTS[options.part](loaded), command)
+        return
+    coarse = {"cats": {"n_vertices": 4000}}
+    loaded = {Path(name).name: load_collection(name, **coarse.get(name, {})) for name in options.collections}
+    found = PARTS[options.part](loaded) if loaded else _MAKES[options.part]()
+    add_part(options.out, options.part, found, command)
 
 
 if __name__ == "__main__":

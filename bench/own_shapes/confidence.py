@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import fmsync
-from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pairs
-from bench.own_shapes.stages import stages
+from bench.metrics import LEVELS
+from bench.own_shapes.stages import Evaluation, evaluation_vertices, some_pairs, stages
 from data_gen import GroundTruth, perturb
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import Confidence, ConformalCalibration, SyncedShapes, fit_conformal
@@ -15,7 +15,6 @@ from fmsync.matching.conformal import default_calibration
 from fmsync.matching.network import basis_signs, trusted_part
 from fmsync.shape import Shape
 
-LEVELS = (0.5, 0.8, 0.9, 0.95)
 RETAINED = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 _INDICATORS = ("radius", "entropy", "spread", "local_distortion", "distortion")  # what a confidence says of a vertex
 

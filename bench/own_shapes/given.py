@@ -4,16 +4,16 @@ from collections.abc import Iterable
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial import cKDTree
 from sklearn.metrics import roc_auc_score
 
 from bench.own_shapes.confidence import observe
-from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, species
-from bench.own_shapes.stages import decimated
+from bench.own_shapes.stages import Evaluation, decimated, evaluation_vertices, species
 from data_gen import Creature
 from fmsync import adapters, diagnostics
-from fmsync.functional_maps import nearest_rows
+from fmsync.functional_maps import point_map
 from fmsync.matching.conformal import default_calibration
-from fmsync.shape import Shape
+from fmsync.shape import Basis, Shape
 
 SPECIES, _SHAPES = range(4), 6
 _N_BASIS, _STEP, _N_REFINED = 20, 5, 120  # ZoomOut goes from the first to the last
@@ -40,7 +40,7 @@ def starts(shapes: list[Shape], vertices: np.ndarray) -> dict[str, dict]:
     bases = [adapters.from_pyfm(mesh)[1] for mesh in meshes]
     pairs = [(i, j) for i in range(len(shapes)) for j in range(i)]
     fits, refined = zip(*(_pyfm(meshes[i], meshes[j]) for i, j in pairs))
-    points = [_points(c, bases[i].eigenfunctions, bases[j].eigenfunctions) for (i, j), c in zip(pairs, refined)]
+    points = [_points(c, bases[i], bases[j]) for (i, j), c in zip(pairs, refined)]
     spoiled = np.zeros(len(pairs), dtype=bool)
     spoiled[rng.choice(len(pairs), max(1, round(_WRONG * len(pairs))), replace=False)] = True
     shuffled = [rng.permutation(p) for p in points]
@@ -81,15 +81,12 @@ def _pyfm(mesh_i, mesh_j) -> tuple[np.ndarray, np.ndarray]:
     return model.FM_12, model.zoomout_refine(start, nit=(_N_REFINED - _N_BASIS) // _STEP, step=_STEP)
 
 
-def _points(c_ij: np.ndarray, at_i: np.ndarray, at_j: np.ndarray) -> np.ndarray:
-    """The point map (V_i,) of a functional map."""
-    return nearest_rows(at_i[:, : len(c_ij)] @ c_ij, at_j[:, : c_ij.shape[1]])
+def _points(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis) -> np.ndarray:
+    return point_map(c_ij, basis_i.truncated(len(c_ij)), basis_j.truncated(c_ij.shape[1]))
 
 
-def _soft(c_ij: np.ndarray, basis_i, basis_j) -> sp.csr_array:
+def _soft(c_ij: np.ndarray, basis_i: Basis, basis_j: Basis) -> sp.csr_array:
     """A soft map (V_i, V_j) that is ten times too hot: its weights fall off with the distance between embeddings."""
-    from scipy.spatial import cKDTree
-
     at_i, at_j = basis_i.eigenfunctions[:, : len(c_ij)] @ c_ij, basis_j.eigenfunctions[:, : c_ij.shape[1]]
     distance, image = cKDTree(at_j).query(at_i, _NEIGHBOURS)
     temperature = _SOFT * np.median(distance[:, 0] ** 2)
@@ -103,8 +100,7 @@ def _error(evaluation: Evaluation, bases: list, pair: tuple[int, int], given) ->
     """Mean geodesic error of a given map; of a soft one where it is largest."""
     i, j = pair
     if sp.issparse(given):
-        images = np.asarray(given.argmax(axis=1)).ravel()
-    else:
-        images = given if given.ndim == 1 else _points(given, bases[i].eigenfunctions, bases[j].eigenfunctions)
+        given = np.asarray(given.argmax(axis=1)).ravel()
+    images = given if given.ndim == 1 else _points(given, bases[i], bases[j])
     at = np.arange(evaluation.vertices.shape[1])
     return float(evaluation.distances[j][at, images[evaluation.vertices[i]]].mean())

@@ -12,6 +12,7 @@ import pandas as pd
 
 from bench.studies import kept_results
 from data_gen import load_collection
+from fmsync.adapters import from_pyvista, to_pyvista
 from fmsync.matching.outliers import BOTH, SPECTRUM, differences, groups, spectral_distances
 from fmsync.matching.pairwise import FINE, match
 from fmsync.matching.samples import sample_shape
@@ -32,8 +33,7 @@ def mixed(number: int) -> tuple[list[Shape], np.ndarray]:
 
     count, kind = 5 + number // 4 % 4, ("another", "two others", "half", "cat")[number % 4]
     *own, whole = load_collection("creatures", species=number, count=count + 1, **_OPTIONS)
-    ball = pv.Icosphere(nsub=3)
-    sphere = Shape(np.asarray(ball.points, dtype=float), ball.regular_faces, "sphere")
+    sphere = from_pyvista(pv.Icosphere(nsub=3), "sphere")
     if kind == "half":
         strange = [half(whole)]
     elif kind == "cat":
@@ -45,13 +45,10 @@ def mixed(number: int) -> tuple[list[Shape], np.ndarray]:
 
 def half(shape: Shape) -> Shape:
     """The larger piece in front of a plane across the longest axis, through the middle."""
-    import pyvista as pv
-
-    points = shape.vertices - shape.vertices.mean(axis=0)
-    axis = np.linalg.svd(points, full_matrices=False)[2][0]
-    mesh = pv.PolyData.from_regular_faces(points, shape.faces).clip(normal=axis, origin=(0, 0, 0)).clean()
-    mesh = mesh.triangulate().connectivity("largest").triangulate().clean()
-    return Shape(np.asarray(mesh.points, dtype=float), mesh.regular_faces, "half")
+    centred = Shape(shape.vertices - shape.vertices.mean(axis=0), shape.faces)
+    axis = np.linalg.svd(centred.vertices, full_matrices=False)[2][0]
+    mesh = to_pyvista(centred).clip(normal=axis, origin=(0, 0, 0)).clean()
+    return from_pyvista(mesh.triangulate().connectivity("largest").triangulate().clean(), "half")
 
 
 def distances(number: int) -> dict[str, np.ndarray]:

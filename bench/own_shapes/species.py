@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bench.own_shapes.confidence import LEVELS, observe
-from bench.own_shapes.evaluation import species
+from bench.metrics import LEVELS
+from bench.own_shapes.confidence import observe
+from bench.own_shapes.stages import species
 from bench.studies import kept_results
 from fmsync import diagnostics
 from fmsync.matching import Confidence, ConformalCalibration, fit_conformal

@@ -1,22 +1,72 @@
-"""Errors and CPU seconds of the stages of the pipeline, beside pyFM on the same bases, descriptors and samples."""
+"""Errors, where the vertex order is known, and CPU seconds of the stages of the pipeline; pyFM on the same input."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 import fmsync
-from bench.own_shapes.evaluation import Evaluation, evaluation_vertices, some_pairs
+from bench.problems import geodesics_from
 from bench.studies import cpu_seconds
-from fmsync.adapters import to_pyfm
+from data_gen import Creature, load_collection
+from fmsync.adapters import from_pyvista, to_pyfm, to_pyvista
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, network, synchronize
+from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, improve, match, zoomout
-from fmsync.matching.samples import farthest_points
+from fmsync.matching.samples import SampledShape, farthest_points
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
 
 _STEP = 5  # functions that pyFM adds at a time
+
+
+class Evaluation:
+    """Geodesic distances from the true images of some vertices, by the heat method on the full meshes.
+
+    ``vertices`` (N, P) are the evaluation vertices of every shape: the same point of the surface in every column.
+    """
+
+    def __init__(self, shapes: Sequence[SampledShape], vertices: np.ndarray):
+        self.shapes, self.vertices = shapes, vertices
+        self.distances = [geodesics_from(s.shape, own) for s, own in zip(shapes, vertices)]
+
+    def errors(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
+        """(P,) distance on shape j from where the evaluation vertices of i are sent to where they belong.
+
+        Vertices are matched by functions that both shapes share, to which ``first`` (M, m_i) and ``second`` (M, m_j)
+        map their coefficients; without ``second`` by those of j, to which ``first`` = C_ij^T maps.
+        """
+        at_i = self.shapes[i].basis.eigenfunctions[self.vertices[i], : first.shape[1]] @ first.T
+        at_j = self.shapes[j].basis.eigenfunctions[:, : len(first) if second is None else second.shape[1]]
+        nearest = nearest_rows(at_i, at_j if second is None else at_j @ second.T)
+        return self.distances[j][np.arange(len(at_i)), nearest]
+
+    def mean(self, pairs: Sequence[tuple[int, int]], maps: Callable) -> float:
+        """Mean error over pairs of the maps C_ij that ``maps(i, j)`` gives."""
+        return float(np.mean([self.errors(i, j, maps(i, j).T) for i, j in pairs]))
+
+    def at(self, i: int, values: np.ndarray) -> np.ndarray:
+        """Values at the samples of shape i carried to the evaluation vertices."""
+        return samples_to_vertices(self.shapes[i], values)[self.vertices[i]]
+
+
+def species(number: int, count: int = 4) -> list[Creature]:
+    """Poses of a random species, each with a triangulation of its own."""
+    return load_collection("creatures", species=number, count=count, n_vertices=1500, remeshed=True)
+
+
+def evaluation_vertices(shapes: list[Shape], count: int = 80) -> np.ndarray:
+    """(N, P) vertices at which errors are measured, of shapes of one order or of creatures."""
+    located = [s.located if isinstance(s, Creature) else np.arange(s.n_vertices) for s in shapes]
+    chosen = np.random.default_rng(0).choice(len(located[0]), min(count, len(located[0])), replace=False)
+    return np.array([own[chosen] for own in located])
+
+
+def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:
+    """Ordered pairs of ``count`` shapes, evenly from all."""
+    ordered = [(i, j) for i in range(count) for j in range(count) if i != j]
+    return [ordered[k] for k in np.linspace(0, len(ordered) - 1, min(most, len(ordered))).astype(int)]
 
 
 def remeshed(loaded: dict[str, list[Shape]], n_landmarks: int = 0, **options) -> dict:
@@ -33,14 +83,11 @@ def remeshed(loaded: dict[str, list[Shape]], n_landmarks: int = 0, **options) ->
 
 def decimated(shapes: list[Shape], vertices: np.ndarray, share: float = 0.2) -> tuple[list[Shape], np.ndarray]:
     """Copies of about ``share`` of the vertices, another number for each shape, and those nearest to ``vertices``."""
-    import pyvista as pv
-
     copies, moved = [], []
     for k, (shape, own) in enumerate(zip(shapes, vertices)):
-        mesh = pv.PolyData.from_regular_faces(shape.vertices, shape.faces)
-        mesh = mesh.decimate(1 - share * (0.9 + 0.2 * (k % 5) / 4))
-        points = np.asarray(mesh.points, dtype=float)
-        copies.append(Shape(points, mesh.regular_faces, shape.name))
+        mesh = to_pyvista(shape).decimate(1 - share * (0.9 + 0.2 * (k % 5) / 4))
+        copies.append(from_pyvista(mesh, shape.name))
+        points = copies[k].vertices
         moved.append(nearest_rows(shape.vertices[own] - points.mean(axis=0), points - points.mean(axis=0)))
     return copies, np.array(moved)
 

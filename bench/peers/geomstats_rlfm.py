@@ -28,16 +28,13 @@ class GeomstatsRLFM(Sampler):
 
     @property
     def settings(self) -> dict[str, float]:
-        """The step and β."""
         return {"step": self._step, "beta": self._beta}
 
     @property
     def state(self) -> np.ndarray:
-        """(K, N, n, n) rotations."""
         return self._c
 
     def energy(self) -> np.ndarray:
-        """(K,) Euclidean energy."""
         return energy(self._problem, self._c)
 
     def step(self, warmup: bool) -> None:

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from fmsync import so
 from fmsync.diagnostics import LARGEST_RHAT, LEAST_ESS, ConvergenceWarning, ess, rhat, short_run
+from fmsync.energy import squared_residuals
 from fmsync.estimators import Estimate, solve
 from fmsync.matching.pairwise import PairMatch
 from fmsync.problem import SyncProblem
@@ -76,11 +77,13 @@ def robust_estimate(problem: SyncProblem, rng: int | np.random.Generator) -> Est
 
 
 def trusted_edges(problem: SyncProblem, estimate: Estimate) -> np.ndarray:
-    """(E,) whether the robust estimate keeps an edge; all of them if without the others the graph falls apart."""
+    """(E,) whether the robust estimate keeps an edge; of the others those of least residual that join its parts."""
     keep = inlier_weights(estimate) > 0.5
-    left = nx.Graph(problem.edges[keep].tolist())
-    connected = left.number_of_nodes() == problem.n_nodes and nx.is_connected(left)
-    return keep if connected else np.ones_like(keep)
+    squares = np.where(keep, 0, squared_residuals(problem, estimate.absolute))
+    graph = nx.MultiGraph()
+    graph.add_edges_from((*pair, e, {"weight": squares[e]}) for e, pair in enumerate(problem.edges.tolist()))
+    keep[[e for *_, e in nx.minimum_spanning_edges(graph, data=False)]] = True
+    return keep
 
 
 def trusted_part(problem: SyncProblem, estimate: Estimate, used: np.ndarray) -> SyncProblem:
@@ -135,18 +138,27 @@ def doubts_of_draws(posterior: Posterior, given: bool) -> list[str]:
 
 def unchecked_maps(
     problem: SyncProblem, estimate: Estimate, names: Sequence[str], edge_names: Sequence[str], given: bool
-) -> str:
-    """A sentence about maps that no cycle of trusted ones checks, with what to do; empty where there are none."""
-    graph, more = nx.empty_graph(problem.n_nodes), _MORE_PAIRS[given]
-    trusted = np.flatnonzero(inlier_weights(estimate) > 0.5).tolist()
+) -> list[str]:
+    """Sentences about maps that no cycle of trusted ones checks, and shapes without a majority of trusted ones."""
+    graph, todo = nx.empty_graph(problem.n_nodes), _MORE_PAIRS[given]
+    trust = inlier_weights(estimate) > 0.5
+    trusted, said = np.flatnonzero(trust).tolist(), []
     graph.add_edges_from(problem.edges[trusted].tolist())
     parts = [" + ".join(names[k] for k in sorted(part)) for part in nx.connected_components(graph)]
-    if len(parts) > 1:
-        return f"No map that agrees with others connects {', '.join(parts)}: what joins them is a guess; {more}."
     bridges = {frozenset(pair) for pair in nx.bridges(graph)}
-    lone = [edge_names[e] for e in trusted if frozenset(problem.edges[e].tolist()) in bridges]
-    if len(bridges) == problem.n_nodes - 1:
-        text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess: "
-    else:
-        text = "No cycle of trusted maps checks these, and nothing shows whether they are wrong: "
-    return f"{text}{', '.join(lone)}; {more}." if lone else ""
+    lone = ", ".join(edge_names[e] for e in trusted if frozenset(problem.edges[e].tolist()) in bridges)
+    if len(parts) > 1:
+        text = f"No map that agrees with others connects {', '.join(parts)}: what joins them is a guess"
+        said.append(f"{text}; {todo}.")
+    elif len(bridges) == problem.n_nodes - 1:
+        text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess"
+        said.append(f"{text}: {lone}; {todo}.")
+    elif lone:
+        text = "No cycle of trusted maps checks these, and nothing shows whether they are wrong"
+        said.append(f"{text}: {lone}; {todo}.")
+    right, wrong = (np.bincount(problem.edges[kept].ravel(), minlength=problem.n_nodes) for kept in (trust, ~trust))
+    even = np.flatnonzero((wrong >= right) & (right > 1))  # a single map is a bridge
+    if split := [f"{names[k]} ({right[k]} of {right[k] + wrong[k]})" for k in even]:
+        text = "No majority of the maps of these shapes agrees with the others, so that the wrong ones may be trusted"
+        said.append(f"{text}: {', '.join(split)}; {todo}.")
+    return said

@@ -28,6 +28,4 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
         text = "Point clouds do not tell left from right: the answer for a symmetric body may be its mirror image. "
         said.append(text + "Give meshes or landmarks.")
     maps = synced.names, synced.edge_names, bool(synced.map_names)
-    if unchecked := unchecked_maps(synced.problem, synced.estimate, *maps):
-        said.append(unchecked)
-    return said
+    return said + unchecked_maps(synced.problem, synced.estimate, *maps)

@@ -256,7 +256,7 @@ def synchronize_shapes(
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
     synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
-    if given and (said := unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, given=True)):
+    for said in unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, True) if given else ():
         warnings.warn(said, stacklevel=3)
     return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 

@@ -29,6 +29,8 @@ STYLE = {
     "figure.dpi": 110,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
+    "figure.constrained_layout.w_pad": 0.09,  # inches: the layout may be some pixels off, and the white card ends here
+    "figure.constrained_layout.h_pad": 0.06,
     "savefig.facecolor": "white",
     "font.size": 12,
     "axes.titlesize": 12,

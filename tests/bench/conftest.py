@@ -3,7 +3,7 @@
 import pytest
 
 import data_gen
-from bench.planted import Planted
+from bench.problems import Planted
 
 collect_ignore = ["tricks.py"]  # looked through for doctests it would register its methods a second time
 

@@ -37,8 +37,6 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     assert "oracle" in capsys.readouterr().out
     assert main(["compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
     assert "no difference" in capsys.readouterr().out
-    assert main(["collect", "smoke", "--cache", str(tmp_path / "cache"), "--results", str(tmp_path / "c")]) == 0
-    assert len(results.read(tmp_path / "c" / "smoke.parquet")) == len(frame)
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -73,7 +71,6 @@ def test_failing_runs_give_status_one_and_their_reason(tmp_path, capsys):
         (["run", "smoke", "--with", "missing.py"], "no such file"),
         (["run", "smoke", "--backend", "dask"], "--scheduler"),
         (["report", "nothing"], "python -m bench run nothing"),
-        (["collect", "smoke", "--cache", "no-such-folder"], "no run of smoke"),
     ],
 )
 def test_bad_input_ends_with_one_line(arguments, message, capsys):
@@ -81,7 +78,7 @@ def test_bad_input_ends_with_one_line(arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["run", "collect", "report", "compare", "verify", "list"])
+@pytest.mark.parametrize("command", ["run", "report", "compare", "verify", "list"])
 def test_help_shows_an_example(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([command, "--help"])

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 import data_gen
-from bench import execute as executing
 from bench import methods
-from bench.execute import execute, isolated
-from bench.measure import measure
-from bench.metrics import frobenius_errors
-from bench.planted import Planted
+from bench import runner as executing
+from bench.metrics import frobenius_errors, measure
+from bench.problems import Planted
+from bench.runner import execute, isolated
 from bench.suites import Run
 from fmsync import diagnostics
 from fmsync.shape import Basis

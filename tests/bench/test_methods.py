@@ -7,7 +7,7 @@ import pytest
 
 from bench import methods
 from bench.metrics import frobenius_errors
-from bench.planted import Planted
+from bench.problems import Planted
 from fmsync import so
 from fmsync.problem import SyncProblem, relative_maps
 

@@ -13,8 +13,7 @@ import pytest
 
 from bench import runner
 from bench.cache import ResultCache
-from bench.execute import record_of
-from bench.runner import run_suite
+from bench.runner import record_of, run_suite
 from tests.bench.helpers import TRICKS, calls, runs, untimed
 
 

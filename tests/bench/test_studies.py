@@ -12,7 +12,7 @@ import data_gen
 import fmsync
 from bench import calibration_coverage, prior_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
-from bench.own_shapes import confidence, evaluation, outliers, species, stages
+from bench.own_shapes import confidence, outliers, species, stages
 
 OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 120, "n_draws": 40}
 
@@ -117,7 +117,7 @@ def test_stages_have_errors_and_seconds(observed):
 
 
 def test_copies_have_vertices_of_their_own(cats):
-    vertices = evaluation.evaluation_vertices(cats, 5)
+    vertices = stages.evaluation_vertices(cats, 5)
     copies, moved = stages.decimated(cats, vertices)
     assert len({copy.n_vertices for copy in copies}) == 3
     for shape, copy, old, new in zip(cats, copies, vertices, moved):
@@ -148,7 +148,7 @@ def test_species_left_out_are_covered_as_promised():
 
 
 def test_every_part_of_the_command_writes_its_results(tmp_path, monkeypatch, cats):
-    monkeypatch.setattr(own_shapes, "collection", lambda name: cats)
+    monkeypatch.setattr(own_shapes, "load_collection", lambda name: cats)
     monkeypatch.setitem(own_shapes.PARTS, "planted", lambda loaded: {name: len(one) for name, one in loaded.items()})
     own_shapes.main(["planted", "some/cats", "--out", str(tmp_path / "found.json")])
     found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))

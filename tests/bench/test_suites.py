@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.execute import execute
+from bench.runner import execute
 from bench.suites import Run, load_suite, suite_names
 from data_gen import load_collection
 

@@ -10,8 +10,8 @@ import pytest
 from bench import methods, results
 from bench import verify as verifier
 from bench.__main__ import main
-from bench.execute import execute
 from bench.metrics import METRICS
+from bench.runner import execute
 from bench.suites import Run
 from fmsync import estimators
 

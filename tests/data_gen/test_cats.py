@@ -9,11 +9,10 @@ import pyvista as pv
 from scipy.sparse import coo_array
 
 import fmsync
-from data_gen.cat_body import cat_body
-from data_gen.cat_pose import POSES, Rig, joint_transforms, muscle_tone
+from data_gen.cat_pose import POSES, Rig, cat_body, joint_transforms, muscle_tone
 from data_gen.cats import cats, left_right_flip, rest_mesh
+from data_gen.mesher import self_intersections
 from data_gen.report import edge_distortion
-from data_gen.self_intersection import self_intersections
 from data_gen.truth import fix_signs
 from fmsync.shape import Shape, edges_of_faces
 

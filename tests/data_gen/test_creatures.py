@@ -9,9 +9,8 @@ import data_gen
 import fmsync
 from data_gen.creature_body import draw_body
 from data_gen.creatures import Creature, creatures
-from data_gen.mesher import is_sphere
+from data_gen.mesher import is_sphere, self_intersections
 from data_gen.report import edge_distortion
-from data_gen.self_intersection import self_intersections
 from fmsync.shape import Shape, edges_of_faces
 
 SPECIES = range(12)
