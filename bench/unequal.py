@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.planted import Planted
+from bench.problems import Planted
 from data_gen.langevin import langevin_noise
 from data_gen.truth import planted
 from fmsync import SyncProblem, sample
