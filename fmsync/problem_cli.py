@@ -9,7 +9,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 import fmsync
+from fmsync.files import replacing
 
 
 def run_solve(options: argparse.Namespace) -> int:
@@ -95,10 +98,6 @@ def _write(
     options: argparse.Namespace, arrays: Mapping[str, Any], summary: Mapping[str, object], said: list[str], began: float
 ) -> None:
     """The arrays into the output, whole or not at all, and the summary on stdout."""
-    import numpy as np
-
-    from fmsync.files import replacing
-
     with replacing(options.output) as file:
         np.savez(file, **arrays)
     told = {"output": str(options.output), "method": options.method, **summary, "seconds": time.perf_counter() - began}

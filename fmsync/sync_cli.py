@@ -14,6 +14,14 @@ from functools import partial
 from pathlib import Path
 
 import fmsync
+from fmsync.matching import ConformalCalibration, SyncedShapes
+from fmsync.matching.conformal import default_calibration
+from fmsync.matching.map_files import read_maps
+from fmsync.matching.outliers import OutlierWarning
+from fmsync.matching.output import edge_table, transferred_tables, write_all
+from fmsync.matching.quality import quality_flags
+from fmsync.mesh_io import mesh_files, read_shape
+from fmsync.shape import Shape
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
@@ -21,8 +29,6 @@ _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them st
 
 def run_transfer(options: argparse.Namespace) -> int:
     """Carry the columns of a table to every other shape of a collection."""
-    from fmsync.matching.output import transferred_tables
-
     with _working_folder(options.output) as work:
         tables = transferred_tables(options.synced, options.values, options.on)
         (work / "output").mkdir()
@@ -42,12 +48,6 @@ def _publish(work: Path, output: Path) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.matching.conformal import ConformalCalibration, default_calibration
-    from fmsync.matching.map_files import read_maps
-    from fmsync.matching.output import write_all
-    from fmsync.matching.quality import quality_flags
-    from fmsync.mesh_io import mesh_files, read_shape
-
     _check(options)
     own = options.calibration
     calibration = default_calibration() if own is None else ConformalCalibration.load(own)
@@ -144,12 +144,8 @@ def _working_folder(output: Path) -> Iterator[Path]:
                 output.rmdir()
 
 
-def _summary(
-    synced: "fmsync.matching.SyncedShapes", output: Path, files: Mapping[str, Path], said: Sequence[str]
-) -> dict[str, object]:
+def _summary(synced: SyncedShapes, output: Path, files: Mapping[str, Path], said: Sequence[str]) -> dict[str, object]:
     """What a script wants to know of a result."""
-    from fmsync.matching.output import edge_table
-
     assert synced.posterior is not None, "the command asks for draws"
     return {
         "output": str(output),
@@ -168,15 +164,13 @@ def _summary(
 
 def _hear(caught: list[str], message: Warning | str, category: type[Warning], *_: object) -> None:
     """Keep warnings that are not said in plain words already; say at once what is known before long work."""
-    from fmsync.matching.outliers import OutlierWarning
-
     if category is OutlierWarning:
         print(f"fmsync: warning: {message}", file=sys.stderr)
     elif category in (UserWarning, RuntimeWarning):
         caught.append(str(message))  # a ConvergenceWarning is one of the flags, the rest is for programmers
 
 
-def _landmarks(path: Path, shapes: "Sequence[fmsync.Shape]") -> list[list[int]]:
+def _landmarks(path: Path, shapes: Sequence[Shape]) -> list[list[int]]:
     """Vertices of every shape, from lines 'NAME: 1 2 3' in any order or lines of numbers in the order of the shapes."""
     lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     if len(lines) != len(shapes):
