@@ -20,14 +20,15 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Rule = str | Callable[[str, Any], Any]
+Rule = str | tuple[str, ...] | Callable[[str, Any], Any]
 Sizes = dict[str, int]  # what the letters of shapes stand for in one call
 Test = Callable[[str, Any, Sizes], Any]  # of a name and a value; returns the value to use
 
 _ORTHOGONALITY_TOLERANCE = 1e-6
 _ARRAY_LIKE = set(get_args(ArrayLike))
 _SEQUENCES = {list, tuple, Sequence, Iterable}  # whose items a rule is for
-_SIZES = {"N": "n_nodes", "n": "n", "E": "n_edges"}  # letters, and what problems and their answers call them
+_SIZES = {"N": "n_nodes", "n": "n", "E": "n_edges", "V": "n_vertices"}  # letters, and what objects call them
+_NAMES = {"N": "the nodes ", "V": "the vertices "}
 
 
 def checked(**rules: Rule) -> Callable[[Function], Function]:
@@ -36,7 +37,8 @@ def checked(**rules: Rule) -> Callable[[Function], Function]:
     Annotations tell the types: an ``int`` is a count >= 1, one that may be a generator is a seed. A rule is another
     check (name, value), the bound of a count, such as ``"N >= 2"`` or ``"< N"``, or the shape of an array in words:
     ``"... N n n"``, where ``...`` are leading axes, a letter has one value in all arguments (N, n and E those of a
-    problem among them) and small ones are not 0; behind it ``rotations``, ``skew``, or ``< N`` for integers.
+    problem, V that of a shape) and small ones are not 0; behind it ``rotations``, ``skew``, or ``< N`` for integers;
+    or the words (in a tuple) that a text may be.
     """
 
     def decorate(function: Function) -> Function:
@@ -89,6 +91,8 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     expected = " or ".join(kind.__name__ for kind in classes if kind is not types.NoneType)
 
     def test(name: str, value: Any, sizes: Sizes) -> Any:
+        if isinstance(value, str) and isinstance(rule, tuple):
+            one_of(name, value, rule)
         if isinstance(value, classes):
             return _with_sizes(value, sizes)
         if convert is None:
@@ -124,14 +128,17 @@ def _array_test(kind: Any, rule: Rule | None) -> Test:
             if rest > _ORTHOGONALITY_TOLERANCE * max(1.0, np.abs(values).max(initial=0)):
                 raise ValueError(f"{name}: not skew-symmetric, off by {rest:.2g}; take fmsync.so.skew of it")
         elif below in sizes:
-            bad = np.argwhere((values < 0) | (values >= sizes[below]))
-            if len(bad):
-                what = "the nodes " if below == "N" else ""
-                value = values[tuple(bad[0])]
-                raise ValueError(f"{name}[{bad[0][0]}] = {value} is outside {what}0..{sizes[below] - 1}")
+            _inside(name, values, sizes[below], _NAMES.get(below, ""))
         return values
 
     return test
+
+
+def _inside(name: str, values: np.ndarray, size: int, what: str) -> np.ndarray:
+    bad = np.argwhere((values < 0) | (values >= size))
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0][0]}] = {values[tuple(bad[0])]} is outside {what}0..{size - 1}")
+    return values
 
 
 def _count_test(kind: Any, rule: Rule | None) -> Test:
@@ -272,10 +279,7 @@ def indices(name: str, values: object, size: int, what: str = "vertices") -> np.
     array = plain(name, values)
     if array.ndim != 1 or (array.size and not np.issubdtype(array.dtype, np.integer)):
         raise ValueError(f"{name}: must be a row of integers, got {array.dtype} of shape {array.shape}")
-    bad = np.flatnonzero((array < 0) | (array >= size))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] = {array[bad[0]]} is outside the {what} 0..{size - 1}")
-    return array
+    return _inside(name, array, size, f"the {what} ")
 
 
 def edge_weights(weights: ArrayLike | None, edges: np.ndarray) -> np.ndarray:

@@ -103,9 +103,6 @@ class Basis:
     @checks.checked(functions="V ...")
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
-        functions = np.asarray(functions)
-        if functions.shape[:1] != self.mass.shape:
-            raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
     @checks.checked(k="< n")
@@ -223,6 +220,14 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F,) in the square of the vertices' unit."""
     a, b, c = vertices[faces.T]  # (F, 3) each
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)  # (F,)
+
+
+@checks.checked(vertices="V 3")
+def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
+    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map."""
+    vertices = np.asarray(vertices, dtype=float)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return 0.1 + 0.9 * (vertices - low) / np.where(high > low, high - low, 1)
 
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:

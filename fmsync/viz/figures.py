@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from fmsync import checks
-from fmsync.checks import checked
 
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -113,7 +112,7 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
     )
 
 
-@checked()
+@checks.checked()
 def picture(fig: Figure, alt: str) -> Picture:
     """Freeze a matplotlib figure as a ``Picture``, and close it; ``alt`` says in a sentence or two what it shows.
 
@@ -153,7 +152,7 @@ def freeze(fig: Figure, scale: float, *, laid_out: bool = False) -> bytes:
     return buffer.getvalue()
 
 
-@checked(matrices=checks.array)
+@checks.checked(matrices="n m")
 def heatmaps(
     matrices: Sequence[ArrayLike],
     titles: Sequence[str] | None = None,
@@ -176,9 +175,6 @@ def heatmaps(
     arrays = [np.asarray(m, dtype=float) for m in matrices]
     if not arrays:
         raise ValueError("matrices is empty: give at least one (n, m) array")
-    for k, m in enumerate(arrays):
-        if m.ndim != 2:
-            raise ValueError(f"matrices[{k}] has shape {m.shape}: give arrays of shape (n, m)")
     titles = [""] * len(arrays) if titles is None else list(titles)
     if len(titles) != len(arrays):
         raise ValueError(f"{len(titles)} titles for {len(arrays)} matrices: give one each")

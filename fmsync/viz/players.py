@@ -5,6 +5,7 @@ import html
 import io
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -16,51 +17,19 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel of a frame: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
 _COLOURS = 64  # of the frames
-# it starts by itself once it is seen, where less motion is not wished for, and rests on the last frame
-_SCRIPT = """for (const f of document.querySelectorAll(".fm-moving:not([data-fm])")) {
-  f.dataset.fm = "ready";
-  const [frame, button, slider] = ["div", "button", "input"].map((q) => f.querySelector(q));
-  const { columns, rows, time } = f.dataset, last = +slider.max;
-  let timer = 0;
-  const show = (k) => {
-    slider.value = k;
-    frame.style.backgroundPosition =
-      `${(100 * (k % columns)) / (columns - 1 || 1)}% ${(100 * Math.floor(k / columns)) / (rows - 1 || 1)}%`;
-  };
-  const stop = () => { timer = clearInterval(timer); button.textContent = "Play"; };
-  const step = () => { show(+slider.value + 1); if (+slider.value === last) stop(); };
-  const play = () => {
-    if (+slider.value === last) show(0);
-    timer = setInterval(step, +time);
-    button.textContent = "Pause";
-  };
-  button.onclick = () => (timer ? stop() : play());
-  slider.oninput = () => { stop(); show(+slider.value); };
-  if (matchMedia("(prefers-reduced-motion: reduce)").matches) continue;
-  new IntersectionObserver((entries, seen) => {
-    if (!entries.some((e) => e.isIntersecting)) return;
-    seen.disconnect();
-    if (!timer && +slider.value === last) play();
-  }, { threshold: 0.9 }).observe(frame);
-}"""
+_SCRIPT = Path(__file__).with_suffix(".js")
 
 
 @dataclass(frozen=True, repr=False)
 class Player(Picture):
     """Frames to run through, joined into one WebP; ``png`` is the last one, for paper and where no script runs.
 
-    Parameters
-    ----------
-    webp, count, columns
-        The frames row by row, how many there are, and how many are in a row.
-    seconds
-        How long a frame is seen when they run by themselves.
+    ``webp`` holds ``count`` frames row by row, ``columns`` in a row; one is seen for ``seconds`` when they run.
     """
 
     webp: bytes
@@ -85,11 +54,11 @@ class Player(Picture):
             '<div class="fm-controls"><button type="button">Play</button> '
             f'<input type="range" min="0" max="{last}" value="{last}" autocomplete="off" '
             'aria-label="frame"></div>'
-            f"<script>{_SCRIPT}</script></figure>"
+            f"<script>{_SCRIPT.read_text(encoding='utf-8')}</script></figure>"
         )
 
 
-@checked(seconds=checks.positive)
+@checks.checked(seconds=checks.positive)
 def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Player:
     """Join matplotlib figures of one size into a ``Player``, and close them.
 
@@ -127,7 +96,7 @@ def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Pla
     return Player(freeze(figure, 2, laid_out=True), alt, width, buffer.getvalue(), len(images), columns, seconds)
 
 
-@checked(points="T 3")
+@checks.checked(points="T 3")
 def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
     """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 
@@ -138,7 +107,7 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
     <Player: Along the equator.>
     """
     points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
+    if not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
         raise ValueError(f"points has shape {points.shape}: give (T, 3) unit vectors")
     if len(points) < frames:
         raise ValueError(f"{len(points)} points for {frames} frames: give at least one for each")
