@@ -118,10 +118,9 @@ def rhat(values: np.ndarray) -> float:
     return float(_array_stats().rhat(values)) if _varies(values) else np.nan
 
 
-@checks.checked(values="chains draws")
+@checks.checked(values="chains draws", kind=("bulk", "tail"))
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
-    checks.one_of("kind", kind, ("bulk", "tail"))
     if not _varies(values):
         return np.nan
     return float(_array_stats().ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))

@@ -177,7 +177,7 @@ class RectangularEstimate:
         return [frames[i].T @ frames[j] for i, j in np.asarray(edges)]
 
 
-@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(init=("spectral", "random"), tolerance=checks.not_negative, max_iterations=">= 0")
 def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,
@@ -270,7 +270,6 @@ class Frames:
 
 def _starting_frames(problem: RectangularSyncProblem, m: int, init: str, rng: np.random.Generator) -> np.ndarray:
     """Orthonormal columns (N, m, k), zero past n_i."""
-    checks.one_of("init", init, ("spectral", "random"))
     rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
     start = np.zeros((problem.n_nodes, m, int(problem.sizes.max())))
     for node, size in enumerate(problem.sizes):

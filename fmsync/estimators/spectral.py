@@ -16,7 +16,7 @@ _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
 @estimator("spectral")
-@checks.checked(tolerance=checks.not_negative)
+@checks.checked(group=GROUPS, tolerance=checks.not_negative)
 def spectral(
     problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO", tolerance: float = 1e-6
 ) -> Estimate:
@@ -36,7 +36,6 @@ def spectral(
 
 def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, tolerance: float) -> np.ndarray:
     """Members of the group (N, n, n): what ``spectral`` answers, in a gauge of its own."""
-    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
     scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
     frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)

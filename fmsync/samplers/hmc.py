@@ -44,7 +44,7 @@ class HMC(Sampler):
     _potential: np.ndarray
     _gradient: np.ndarray
 
-    @checks.checked(start="K N n n", step=checks.positive, length=checks.positive)
+    @checks.checked(start="K N n n", integrator=("cayley", "exp"), step=checks.positive, length=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -55,7 +55,6 @@ class HMC(Sampler):
         step: float | None = None,
         length: float | None = None,
     ):
-        checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
         if length is not None and isinstance(self, MALA):
             raise ValueError("length: 'mala' has no such option, its trajectories have one step")
@@ -114,7 +113,10 @@ class HMC(Sampler):
         self._potential = np.where(taken, potential, self._potential)
         self._age += 1
         if warmup:
-            self._adapt(chance)
+            if self._adapting:
+                self._step = self._averaging.update(chance)
+            self._weight = 0.95 * self._weight + 1
+            self._squares = self._squares + ((self._gradient**2).mean((1, 2, 3)) - self._squares) / self._weight
         else:
             self._accepted, self._tried = self._accepted + float(chance.mean()), self._tried + 1
         if self._concentration.inferred and not (warmup and self._age < _BURN_IN):
@@ -183,13 +185,6 @@ class HMC(Sampler):
         adapted = np.pi / 2 / np.sqrt(np.maximum(self._squares * 2 * n / (n - 1), 1e-12))
         length = adapted if self._length is None else self._length
         return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
-
-    def _adapt(self, chance: np.ndarray) -> None:
-        if self._adapting:
-            self._step = self._averaging.update(chance)
-        seen = (self._gradient**2).mean((1, 2, 3))
-        self._weight = 0.95 * self._weight + 1
-        self._squares = self._squares + (seen - self._squares) / self._weight
 
 
 @sampler("mala")

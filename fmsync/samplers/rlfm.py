@@ -37,7 +37,7 @@ class RLFM(Sampler):
     * ``drift``: ``"descent"``, or ``"printed"`` for the sign that the paper prints.
     """
 
-    @checks.checked(start="K N n n", step=checks.positive)
+    @checks.checked(start="K N n n", retraction=("exp", "qf"), step=checks.positive, drift=("descent", "printed"))
     def __init__(
         self,
         target: Target,
@@ -49,8 +49,6 @@ class RLFM(Sampler):
         step: float | None = None,
         drift: str = "descent",
     ):
-        checks.one_of("retraction", retraction, ("exp", "qf"))
-        checks.one_of("drift", drift, ("descent", "printed"))
         target.only("rlfm", likelihood="langevin")
         problem, kappa = target.problem, target.fixed_kappa()
         self._euclidean, self._exp, self._constrained = target.energy == "euclidean", retraction == "exp", constrained
@@ -103,8 +101,13 @@ class RLFM(Sampler):
         """Advance all chains by one step; nothing is adapted."""
         fixed = None if self._held is None else self._c[:, self._held].copy()
         if self._constrained:
-            omega = self._tangents()
-            flat = self._c.reshape(omega.shape)  # a view: the state is C-contiguous
+            n = self._c.shape[-1]
+            flat = self._c.reshape(-1, n, n)  # a view: the state is C-contiguous
+            noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
+            pull, drift = (self._neighbour_sums().reshape(flat.shape), self._drift) if self._euclidean else (flat, 0.0)
+            omega = langevin_kernels.langevin_tangents(flat, pull, noise, drift, self._noise)  # of V = C Ω
+            if not self._euclidean:
+                omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
             if self._exp:
                 langevin_kernels.rotate(flat, omega)
             else:
@@ -119,18 +122,6 @@ class RLFM(Sampler):
         self._age += 1
         if self._constrained and self._age % _REPAIR_EVERY == 0:
             self._c = langevin_kernels.reorthonormalised(self._c)
-
-    def _tangents(self) -> np.ndarray:
-        """Body-frame Ω (K N, n, n) of V = C Ω."""
-        n = self._c.shape[-1]
-        flat = self._c.reshape(-1, n, n)
-        noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
-        if self._euclidean:
-            sums = self._neighbour_sums().reshape(flat.shape)
-            return langevin_kernels.langevin_tangents(flat, sums, noise, self._drift, self._noise)
-        omega = langevin_kernels.langevin_tangents(flat, flat, noise, 0.0, self._noise)
-        omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
-        return omega
 
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:

@@ -25,7 +25,7 @@ class Tempered(Sampler):
     ``settings["swap_acceptance"]`` falls below 0.2. ``hottest``, in (0, 1), is the inverse temperature of the hottest.
     """
 
-    @checks.checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
+    @checks.checked(start="K N n n", base=tuple(_BASES), n_temperatures=">= 2", hottest=checks.probability)
     def __init__(
         self,
         target: Target,
@@ -36,7 +36,6 @@ class Tempered(Sampler):
         n_temperatures: int = 8,
         hottest: float = 1e-3,
     ):
-        checks.one_of("base", base, _BASES)
         self._rng, self._n_chains = rng, len(start)
         self._ladder = np.linspace(0, 1, n_temperatures)  # (R,) inverse temperatures, coldest last
         self._ladder[0] = hottest
