@@ -5,6 +5,7 @@ import html
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -20,39 +21,17 @@ from fmsync import checks
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 
+Limits = tuple[float, float] | None  # of a colour scale
 _LEAST_TYPE = 10  # points: 9 pixels on a phone, where a figure of the usual width is shown at three fifths
 
-# white paper in both themes of the book: the page puts it on a rounded card; 12 pt stays legible on a phone
-STYLE = {
-    "figure.figsize": (5.2, 3.3),
-    "figure.dpi": 110,
-    "figure.facecolor": "white",
-    "figure.constrained_layout.use": True,
-    "savefig.facecolor": "white",
-    "font.size": 12,
-    "axes.titlesize": 12,
-    "axes.labelsize": 12,
-    "legend.fontsize": 11,
-    "legend.frameon": False,
-    "axes.prop_cycle": cycler(color=PALETTE),
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.8,
-    "lines.markersize": 5,
-    "image.cmap": "viridis",
-    "svg.hashsalt": "fmsync",
-}
+_SHEET = Path(__file__).with_suffix(".mplstyle")
+STYLE: list[Path | dict[str, Any]] = [_SHEET, {"axes.prop_cycle": cycler(color=PALETTE)}]
 
 
 def style() -> None:
     """Set the look of every later matplotlib figure: Okabe–Ito colours, white paper, 12 pt type.
 
-    >>> import fmsync
-    >>> fmsync.viz.style()
+    >>> style()
     """
     mpl.style.use(STYLE)
 
@@ -60,13 +39,11 @@ def style() -> None:
 def subplots(*args: Any, **options: Any) -> tuple[Figure, Any]:
     """``matplotlib.pyplot.subplots`` in the look of :func:`style`; labels, limits and scales go to the axes.
 
-    >>> import fmsync
-    >>> fig, ax = fmsync.viz.subplots(figsize=(5.2, 3), xlabel="noise", yscale="log")
+    >>> fig, ax = subplots(figsize=(5.2, 3), xlabel="noise", yscale="log")
     """
     style()
-    of_axes = {
-        name: options.pop(name) for name in [*options] if name[1:] in ("label", "lim", "scale") or name == "title"
-    }
+    chosen = [name for name in options if name[1:] in ("label", "lim", "scale") or name == "title"]
+    of_axes = {name: options.pop(name) for name in chosen}
     return plt.subplots(*args, subplot_kw=of_axes, **options)
 
 
@@ -95,7 +72,6 @@ class Picture(Shown):
     width: int
 
     def html(self) -> str:
-        """The figure in HTML."""
         return f'<figure class="fm-figure">{image_tag(self.png, self.alt, self.width)}</figure>'
 
 
@@ -119,7 +95,6 @@ def picture(fig: Figure, alt: str) -> Picture:
     Type smaller than 10 points is raised to that: it could not be read on a phone. Where there is no legend,
     axes with labels get one.
 
-    >>> import matplotlib.pyplot as plt
     >>> fig, ax = plt.subplots()
     >>> picture(fig, alt="An empty pair of axes.")
     <Picture: An empty pair of axes.>
@@ -158,7 +133,7 @@ def heatmaps(
     titles: Sequence[str] | None = None,
     *,
     alt: str,
-    clim: tuple[float, float] | None = None,
+    clim: Limits = None,
     columns: int = 3,
 ) -> Picture:
     """Matrices side by side under one colour scale.
@@ -168,7 +143,6 @@ def heatmaps(
     * ``clim``: limits shared by all panels; by default symmetric about zero and wide enough for every entry.
     * ``columns``: panels in a row.
 
-    >>> import numpy as np
     >>> heatmaps([np.eye(3), -np.eye(3)], ["plus", "minus"], alt="The identity and its negative.")
     <Picture: The identity and its negative.>
     """

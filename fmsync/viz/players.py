@@ -10,7 +10,6 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
@@ -123,11 +122,12 @@ def _sphere(points: np.ndarray, total: int) -> Figure:
     ax.set_axis_off()
     ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
     turn = np.linspace(0, 2 * np.pi, 90)
-    for height in (-0.5, 0.0, 0.5):  # three parallels and two meridians show the roundness
-        ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * np.sqrt(1 - height**2) + [0, 0, height]
-        _line(ax, ring, "#c6d0da")
-    for angle in (0, np.pi / 2):
-        _line(ax, np.stack([np.cos(turn) * np.cos(angle), np.cos(turn) * np.sin(angle), np.sin(turn)], 1), "#c6d0da")
+    c, s, zero = np.cos(turn), np.sin(turn), 0 * turn  # three parallels and two meridians show the roundness
+    rings = [np.stack([c, s, zero], 1) * np.sqrt(1 - height**2) + [0, 0, height] for height in (-0.5, 0.0, 0.5)]
+    for ring in [*rings, np.stack([c, zero, s], 1), np.stack([zero, c, s], 1)]:
+        right, up, near = _seen(ring)
+        ax.plot(np.where(near >= 0, right, np.nan), up, color="#c6d0da", lw=1)
+        ax.plot(np.where(near < 0, right, np.nan), up, color="#c6d0da", lw=0.5, ls=":")
     for behind, size, alpha in ((True, 5, 0.25), (False, 9, 0.6)):
         chosen = (depth < 0) == behind
         ax.scatter(x[chosen], y[chosen], s=size, color=PALETTE[0], alpha=alpha, lw=0, zorder=3)
@@ -141,9 +141,3 @@ def _seen(points: np.ndarray) -> np.ndarray:
     eye = np.array([0.78, -0.45, 0.43]) / np.linalg.norm([0.78, -0.45, 0.43])
     across = np.cross([0, 0, 1], eye) / np.linalg.norm(np.cross([0, 0, 1], eye))
     return np.stack([across, np.cross(eye, across), eye]) @ points.T
-
-
-def _line(ax: Axes, points: np.ndarray, colour: str) -> None:
-    x, y, depth = _seen(points)
-    ax.plot(np.where(depth >= 0, x, np.nan), y, color=colour, lw=1)
-    ax.plot(np.where(depth < 0, x, np.nan), y, color=colour, lw=0.5, ls=":")

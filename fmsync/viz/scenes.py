@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from fmsync import checks
 from fmsync.extras import require
 from fmsync.shape import Shape
-from fmsync.viz.figures import PALETTE, Shown, image_tag
+from fmsync.viz.figures import PALETTE, Limits, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1280  # width of the still: twice that of the text of a page
@@ -106,7 +106,7 @@ def scene(
     *,
     alt: str,
     cmap: str = "viridis",
-    clim: tuple[float, float] | None = None,
+    clim: Limits = None,
     label: str = "",
     points: Sequence[ArrayLike] | None = None,
     flat: bool = False,
@@ -187,11 +187,7 @@ def _choose_egl() -> None:
 
 
 def _colours(
-    meshes: Sequence[Shape],
-    scalars: Sequence[ArrayLike] | None,
-    cmap: str,
-    clim: tuple[float, float] | None,
-    label: str,
+    meshes: Sequence[Shape], scalars: Sequence[ArrayLike] | None, cmap: str, clim: Limits, label: str
 ) -> tuple[list[np.ndarray], str]:
     """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
     if scalars is None:
@@ -279,10 +275,8 @@ def _export(window: Any) -> bytes:
         "centerOfRotation": camera.GetFocalPoint(),
         "camera": serializers.reference_id(camera),
     }
-    arrays = {
-        a["hash"]: {**a, "content": context.get_cached_data_array(a["hash"])}
-        for a in serializers.extract_array_hash(state)
-    }
+    arrays = {a["hash"]: a for a in serializers.extract_array_hash(state)}
+    arrays = {key: a | {"content": context.get_cached_data_array(key)} for key, a in arrays.items()}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         entry = zipfile.ZipInfo("index.json")  # with a fixed date: same scene, same bytes
