@@ -57,8 +57,7 @@ def _of_problem(file: Path) -> dict[str, object]:
     told["recorded_noise"] = problem.provenance.get("noise")
     if cycles == 0:
         return told | {"kappa": None, "noise": "no cycle: nothing tells how noisy the maps are; give sample --kappa"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         relative = fmsync.solve(problem, "spectral").relative()
     agreement = float(np.einsum("eab,eab->e", relative, problem.maps).mean()) / n
     cosine = 1 - (1 - agreement) * n_edges / cycles  # the fit takes its part of the noise
@@ -69,25 +68,19 @@ def _of_problem(file: Path) -> dict[str, object]:
         squared = bounds.langevin_error_bound(n_nodes, problem.edges, n, kappa)
         told["rms_error_bound"] = float(np.sqrt(squared.mean()))
         told["bound_holds"] = bool(bounds.is_small_error(n, squared).all())
-    return told | {"sample_seconds": _seconds(problem)}
-
-
-def _seconds(problem: fmsync.SyncProblem) -> float:
-    """What ``fmsync sample`` would take, from a few of its steps."""
     rng = np.random.default_rng(0)
     chains = HeatBath(Target(problem), starts(problem, "spectral", 4, rng), rng)
     chains.step(warmup=True)  # compiles
     began = time.perf_counter()
     for _ in range(_STEPS):
         chains.step(warmup=True)
-    return (time.perf_counter() - began) * _DEFAULT_STEPS / _STEPS
+    return told | {"sample_seconds": (time.perf_counter() - began) * _DEFAULT_STEPS / _STEPS}
 
 
 def _of_mesh(file: Path) -> dict[str, object]:
     """Counts, what the reader repaired, and what will make matching hard."""
     told: dict[str, object] = {"file": str(file), "kind": "mesh"}
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         try:
             shape = read_shape(file, manifold=False)
         except ValueError as error:

@@ -31,19 +31,10 @@ def run_transfer(options: argparse.Namespace) -> int:
     """Carry the columns of a table to every other shape of a collection."""
     with _working_folder(options.output) as work:
         tables = transferred_tables(options.synced, options.values, options.on)
-        (work / "output").mkdir()
         for name, table in tables.items():
             table.to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
-        _publish(work, options.output)
     print(f"{options.output}: a table for each of {len(tables)} shapes")
     return 0
-
-
-def _publish(work: Path, output: Path) -> None:
-    """Move what is finished to its place."""
-    for part in (work / "output").iterdir():
-        os.replace(part, output / part.name)
-    shutil.rmtree(work)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -57,8 +48,7 @@ def run(options: argparse.Namespace) -> int:
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     with _working_folder(options.output) as work:
         caught: list[str] = []
-        with warnings.catch_warnings():
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(action="always"):
             warnings.showwarning = partial(_hear, caught)
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
             sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
@@ -74,11 +64,7 @@ def run(options: argparse.Namespace) -> int:
             except ValueError as error:  # arguments are options here
                 told = re.sub(r"\bn_(basis|refined|samples|draws)\b", r"--\1", str(error))
                 raise ValueError(told) from error
-        folder = work / "output"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        write_all(synced, folder, options.level, calibration, options.jobs, progress)
-        _publish(work, options.output)
+        write_all(synced, work / "output", options.level, calibration, options.jobs, progress)
     said = list(dict.fromkeys([*quality_flags(synced), *caught]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
@@ -127,16 +113,23 @@ def _check(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _working_folder(output: Path) -> Iterator[Path]:
-    """``OUT/.fmsync``; if nothing worth keeping is in it afterwards, it goes, and OUT as well if it was not there."""
+    """``OUT/.fmsync``, from whose folder ``output`` all is moved to OUT in the end.
+
+    If nothing worth keeping is in it afterwards, it goes, and OUT as well if it was not there.
+    """
     if output.exists() and not output.is_dir():
         raise ValueError(f"{output}: it is a file; name a folder that is new or empty")
     if output.is_dir() and {path.name for path in output.iterdir()} - {_WORK}:
         raise ValueError(f"{output}: it is not empty; name a folder that is new or empty")
     new = not output.exists()
     work = output / _WORK
-    work.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(work / "output", ignore_errors=True)
+    (work / "output").mkdir(parents=True)
     try:
         yield work
+        for part in (work / "output").iterdir():
+            os.replace(part, output / part.name)
+        shutil.rmtree(work)
     finally:
         if work.is_dir() and not any((work / "pairs").glob("*.npz")):
             shutil.rmtree(work, ignore_errors=True)
@@ -177,8 +170,7 @@ def _landmarks(path: Path, shapes: Sequence[Shape]) -> list[list[int]]:
         raise ValueError(f"{path}: {len(lines)} lines for {len(shapes)} meshes")
     if any(":" in line for line in lines):
         named = {name.strip(): numbers for name, _, numbers in (line.rpartition(":") for line in lines)}
-        missing = [shape.name for shape in shapes if shape.name not in named]
-        if missing:
+        if missing := [shape.name for shape in shapes if shape.name not in named]:
             raise ValueError(f"{path}: no line 'NAME: ...' for {', '.join(missing)}; it has {', '.join(named)}")
         lines = [named[shape.name] for shape in shapes]
     words = [line.replace(",", " ").split() for line in lines]
