@@ -79,11 +79,9 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     kinds = kinds - _ARRAY_LIKE | {np.ndarray} if kinds >= _ARRAY_LIKE else kinds
     origins = {get_origin(kind) or kind: kind for kind in kinds}
     classes = tuple(os.PathLike if kind is Path else kind for kind in origins if kind not in _CONVERTED)
-    convert: Test | None = None
+    rule = _seed if np.random.Generator in origins and int in origins else rule
     if callable(rule) and not {*origins} - {types.NoneType} <= _SEQUENCES:
-        convert = functools.partial(_apply, rule)
-    elif np.random.Generator in origins and int in origins:
-        convert = functools.partial(_apply, _seed)
+        convert: Test | None = functools.partial(_apply, rule)
     else:
         convert = next((_CONVERTED[kind](origins[kind], rule) for kind in _CONVERTED if kind in origins), None)
     if {Any, object, inspect.Parameter.empty} & kinds:
@@ -135,8 +133,7 @@ def _array_test(kind: Any, rule: Rule | None) -> Test:
 
 
 def _inside(name: str, values: np.ndarray, size: int, what: str) -> np.ndarray:
-    bad = np.argwhere((values < 0) | (values >= size))
-    if len(bad):
+    if len(bad := np.argwhere((values < 0) | (values >= size))):
         raise ValueError(f"{name}[{bad[0][0]}] = {values[tuple(bad[0])]} is outside {what}0..{size - 1}")
     return values
 
@@ -287,8 +284,7 @@ def edge_weights(weights: ArrayLike | None, edges: np.ndarray) -> np.ndarray:
     array = np.ones(len(edges)) if weights is None else np.array(real("weights", weights), dtype=float)
     if array.shape != (len(edges),):
         raise ValueError(f"weights: expected ({len(edges)},), got {array.shape}")
-    bad = np.flatnonzero(~((array > 0) & np.isfinite(array)))
-    if bad.size:
+    if (bad := np.flatnonzero(~((array > 0) & np.isfinite(array)))).size:
         raise ValueError(f"weights: {edge_name(edges, bad[0])} has weight {array[bad[0]]}; must be > 0")
     return array
 
@@ -313,8 +309,7 @@ def rotations(name: str, c: np.ndarray, each: str = "node") -> None:
         raise ValueError(f"{name}: {each} {np.flatnonzero(~np.isfinite(c).all((1, 2)))[0]} holds NaN or infinity")
     rest = np.abs(np.swapaxes(c, -1, -2) @ c - np.eye(c.shape[-1])).max((1, 2))
     tolerance = max(_ORTHOGONALITY_TOLERANCE, 100 * np.finfo(c.dtype).eps)
-    bad = np.flatnonzero((rest > tolerance) | (np.linalg.det(c) < 0))
-    if bad.size:
+    if (bad := np.flatnonzero((rest > tolerance) | (np.linalg.det(c) < 0))).size:
         raise ValueError(f"{name}: {each} {bad[0]} is not a rotation; project it first with fmsync.so.project")
 
 
@@ -323,11 +318,9 @@ def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     n_nodes, array = count("n_nodes", n_nodes, least=2), np.array(_integers("edges", edges))
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
         raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {array.shape}")
-    bad = np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))
-    if bad.size:
+    if (bad := np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))).size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is out of range for {n_nodes} nodes")
-    bad = np.flatnonzero(array[:, 0] == array[:, 1])
-    if bad.size:
+    if (bad := np.flatnonzero(array[:, 0] == array[:, 1])).size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is a self-loop; remove it")
     graph = sp.coo_array((np.ones(len(array)), array.T), shape=(n_nodes, n_nodes))
     n_parts, part_of = connected_components(graph, directed=False)
