@@ -154,10 +154,8 @@ def _tile_code(builder: Any, operands: Any, corner: Any, n_rows: int, lanes: lis
     builder.position_at_end(loop)
     k = builder.phi(index)
     totals = [[builder.phi(ir.VectorType(weight.type, count)) for count in lanes] for _ in starts]
-    passing = [
-        builder.load(p, align=size) for p in vectors(flat[2], sum_of(builder.add(places[2], corner[1]), k, columns))
-    ]
-    new = []
+    right = sum_of(builder.add(places[2], corner[1]), k, columns)
+    passing, new = [builder.load(p, align=size) for p in vectors(flat[2], right)], []
     for start, row in zip(starts, totals):
         entry = builder.load(builder.gep(flat[1], [sum_of(start, k, steps[1])]))
         new.append([fused(entry, x, total) for x, total in zip(passing, row)])

@@ -36,8 +36,7 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
     """
     kappa, flat = _checked(n, kappa)
     result = np.empty(flat.shape)
-    small = flat < _SMALL
-    if small.any():
+    if (small := flat < _SMALL).any():
         result[small] = _log_normaliser_small(n, flat[small])
     if (~small).any():
         large, k = flat[~small], n // 2
@@ -82,8 +81,7 @@ def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     checks.count("n", n, least=2)
     kappa = checks.real("kappa", kappa).astype(float)
     flat = kappa.ravel()
-    bad = flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]
-    if bad.size:
+    if (bad := flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]).size:
         raise ValueError(f"kappa: concentrations lie in [0, {_LARGEST_KAPPA:g}], got {bad[0]}")
     return kappa, flat
 

@@ -5,6 +5,7 @@ before memory is taken, every number must be one, and a refusal names the line. 
 ground truth of a collection; :mod:`fmsync.mesh_repair` then examines the mesh.
 """
 
+import contextlib
 import itertools
 import math
 import re
@@ -101,12 +102,10 @@ def _rows(data: bytes, first: int = 1) -> Rows:
 
 def _converted(words: list[str], kind: type, rows: Rows, sizes: int | list[int]) -> np.ndarray:
     """Words of the rows, ``sizes`` from each, as one array; the first that does not fit is named with its line."""
-    try:
+    with contextlib.suppress(ValueError, OverflowError):
         values: np.ndarray = np.array(words, dtype=kind)
         if np.isfinite(values).all() and "_" not in "".join(words):  # Python reads 1_0 as ten
             return values
-    except (ValueError, OverflowError):
-        pass
     what = "a number" if kind is float else "the number of a vertex"
     for k, word in enumerate(words):
         if not (_WORDS[kind].fullmatch(word) and math.isfinite(float(word))):
@@ -270,7 +269,7 @@ def _ply_header(lines: list[str]) -> tuple[str, list[tuple[str, int, Properties]
     if order is None:
         raise ValueError(f"its header names no format: {_AGAIN}")
     for element, number, properties in elements:
-        first = _first_list(properties)
+        first = next((k for k, (_, _, counted) in enumerate(properties) if counted), len(properties))
         corners = [name for name, of, _ in properties[first : first + 1] if of[0] != "f"]
         if number and element == "vertex" and not {*"xyz"} <= {name for name, _, _ in properties[:first]}:
             raise ValueError(f"its vertices do not begin with x, y and z: {_AGAIN}")
@@ -279,16 +278,12 @@ def _ply_header(lines: list[str]) -> tuple[str, list[tuple[str, int, Properties]
     return order, elements
 
 
-def _first_list(properties: Properties) -> int:
-    return next((k for k, (_, _, counted) in enumerate(properties) if counted), len(properties))
-
-
 def _ply_binary(
     data: bytes, at: int, what: str, count: int, properties: Properties, order: str
 ) -> tuple[dict[str, tuple[np.ndarray, list[int]]], int]:
     """Values of every property and how many each row has of a list, and where the element ends."""
     short = f"{what} announced, the file is too short for them: {_AGAIN}"
-    if _first_list(properties) == len(properties):
+    if not any(counted for _, _, counted in properties):
         record = np.dtype([(name, order + of) for name, of, _ in properties])
         if count * record.itemsize > len(data) - at:
             raise ValueError(short)

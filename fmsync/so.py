@@ -161,10 +161,8 @@ def log_eigen_unchecked(flat: np.ndarray) -> np.ndarray:
     ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
     rough = (v * ratio[:, None, :]) @ transpose(moved)  # -f(S) K
     omega = skew(-rough)
-    trusted = (np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE) & (
-        angle.max(axis=-1, initial=0) < _MOST
-    )
-    for index in np.flatnonzero(~trusted):
+    trusted = np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE
+    for index in np.flatnonzero(~(trusted & (angle.max(axis=-1, initial=0) < _MOST))):
         omega[index] = _log_schur(flat[index])
     return omega
 

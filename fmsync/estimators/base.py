@@ -154,8 +154,7 @@ class Estimate:
         return self.relative(edges), np.sqrt(p.dim * variance / cosine**2 * resistance * quantile)
 
 
-#: Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name.
-estimator = ESTIMATORS.register
+estimator = ESTIMATORS.register  #: register a function ``(problem, *, rng, callback, **options) -> Estimate`` by name
 
 
 def methods() -> list[str]:

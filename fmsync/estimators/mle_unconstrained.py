@@ -4,10 +4,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from fmsync import checks
-from fmsync.energy import gram_blocks
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
-from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
+from fmsync import checks, energy
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator
 from fmsync.problem import SyncProblem
 from fmsync.so import transpose
@@ -31,10 +28,10 @@ def mle_unconstrained(
     gradients from a random start, to watch a convergence; ``tolerance`` is then the norm of the gradient at which to
     stop, after ``max_iterations`` steps at most. Answers are arbitrary matrices; ``relative()`` is :math:`C_i^{-1}C_j`.
     """
-    n_nodes, n, gram = problem.n_nodes, problem.n, gram_blocks(problem)
+    n_nodes, n, gram = problem.n_nodes, problem.n, energy.gram_blocks(problem)
 
     def half_gradient(c: np.ndarray) -> np.ndarray:  # (N-1, n, n): it is linear in C_1..C_N
-        return (c @ gram - neighbour_sums(problem, c))[1:]
+        return (c @ gram - energy.neighbour_sums_unchecked(problem, c))[1:]
 
     if solver == "exact":
         checks.unused("with solver='exact'", tolerance=(tolerance, 1e-6), max_iterations=(max_iterations, 500))
@@ -42,7 +39,7 @@ def mle_unconstrained(
         factor = splu(k, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
         solved = transpose(factor.solve(b).reshape(n_nodes - 1, n, n))  # C_2..C_N
         absolute = np.concatenate([np.eye(n)[None], solved])
-        cost = float(unconstrained_energy(problem, absolute))
+        cost = float(energy.unconstrained_energy_unchecked(problem, absolute))
         callback(0, absolute, cost, float(2 * np.linalg.norm(half_gradient(absolute))))
         return Estimate(problem, "mle-unconstrained", absolute, cost, on_group=False)
     recorder, absolute = Recorder(callback), rng.standard_normal((n_nodes, n, n)) / np.sqrt(n)
@@ -51,7 +48,7 @@ def mle_unconstrained(
     direction, slope = residual, np.vdot(residual, residual)
     for iteration in range(max_iterations + 1):
         norm = 2 * np.sqrt(slope)
-        recorder(absolute, float(unconstrained_energy(problem, absolute)), norm)
+        recorder(absolute, float(energy.unconstrained_energy_unchecked(problem, absolute)), norm)
         if norm <= tolerance or iteration == max_iterations:
             break
         curved = half_gradient(np.concatenate([np.zeros((1, n, n)), direction]))
@@ -60,7 +57,7 @@ def mle_unconstrained(
         residual = residual - length * curved
         slope, old_slope = np.vdot(residual, residual), slope
         direction = residual + (slope / old_slope) * direction
-    cost, converged = float(unconstrained_energy(problem, absolute)), bool(norm <= tolerance)
+    cost, converged = float(energy.unconstrained_energy_unchecked(problem, absolute)), bool(norm <= tolerance)
     return Estimate(problem, "mle-unconstrained", absolute, cost, converged, recorder.trace(), on_group=False)
 
 
@@ -73,7 +70,7 @@ def precision(problem: SyncProblem) -> tuple[sp.csc_matrix, np.ndarray]:
     n_nodes, n = problem.n_nodes, problem.n
     weighted = problem.weights[:, None, None] * problem.maps
     i, j = problem.edges.T
-    blocks = np.concatenate([gram_blocks(problem), -weighted, -transpose(weighted)])
+    blocks = np.concatenate([energy.gram_blocks(problem), -weighted, -transpose(weighted)])
     rows, columns = np.concatenate([np.arange(n_nodes), i, j]), np.concatenate([np.arange(n_nodes), j, i])
     a, b = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     entry_rows = (n * rows[:, None, None] + a).ravel()

@@ -101,12 +101,10 @@ class RectangularEstimate:
 
         A UserWarning names pairs that are not :meth:`identifiable`.
         """
-        if edges is not None:
-            unknown = np.asarray(edges)[~self.identifiable(edges)].tolist()
-            if unknown:
-                pairs = f"{', '.join(map(str, unknown[:5]))}{' and others' * (len(unknown) > 5)}"
-                message = f"relative: the observed maps do not determine pairs {pairs}; observe them, or take a smaller"
-                warnings.warn(f"{message} universe", UserWarning, stacklevel=2)
+        if edges is not None and (unknown := np.asarray(edges)[~self.identifiable(edges)].tolist()):
+            pairs = f"{', '.join(map(str, unknown[:5]))}{' and others' * (len(unknown) > 5)}"
+            told = f"relative: the observed maps do not determine pairs {pairs}"
+            warnings.warn(f"{told}; observe them, or take a smaller universe", UserWarning, stacklevel=2)
         return self._relative(self.absolute, self.problem.edges if edges is None else edges)
 
     @checks.checked(edges="K 2 < N")
@@ -224,9 +222,8 @@ class Frames:
 
     def __init__(self, problem: RectangularSyncProblem, m: int) -> None:
         self._problem = problem
-        k = problem.padded.shape[-1]
-        self._absent = np.arange(k) >= problem.sizes[:, None]  # (N, k)
-        sizes = problem.sizes
+        k, sizes = problem.padded.shape[-1], problem.sizes
+        self._absent = np.arange(k) >= sizes[:, None]  # (N, k)
         self.dimension = int((m * sizes - sizes * (sizes + 1) // 2).sum())
         self.diameter = float(np.sqrt(sizes.sum()))
         self.magnitude = max(1.0, float(problem.weights @ (k + (problem.padded**2).sum((1, 2)))))

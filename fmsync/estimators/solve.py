@@ -62,13 +62,10 @@ def solve(
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
         warnings.warn(message, RuntimeWarning, stacklevel=3)
     worst = int(np.argmax(problem.orthogonality_error))
-    error = problem.orthogonality_error[worst]
-    if estimate.on_group and error > _FAR:
-        message = (
-            f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
-            "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
-        )
-        warnings.warn(message, UserWarning, stacklevel=3)
+    if estimate.on_group and (error := problem.orthogonality_error[worst]) > _FAR:
+        far = f"{checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g})"
+        todo = "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
+        warnings.warn(f"maps: {far}; {todo}", UserWarning, stacklevel=3)
     return estimate
 
 

@@ -2,11 +2,7 @@
 
 import numpy as np
 
-from fmsync import checks, so
-from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
-from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
-from fmsync.energy import gradient_unchecked as energy_gradient
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync import checks, energy, so
 from fmsync.samplers import langevin_kernels
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.concentration import Concentration
@@ -142,12 +138,12 @@ class HMC(Sampler):
     def evaluate(self, c: np.ndarray) -> Evaluated:
         """Energy of the observations (K,), potential (K,) with temperature and prior, its gradient (K, N, n, n)."""
         if self._euclidean:
-            sums = neighbour_sums(self._problem, c)
+            sums = energy.neighbour_sums_unchecked(self._problem, c)
             observed = self._problem.constant - np.einsum("kiab,kiab->k", c, sums)
-            gradient = energy_gradient(self._problem, c, sums)
+            gradient = energy.gradient_unchecked(self._problem, c, sums)
         else:
-            observed = geodesic_energy(self._problem, c)
-            gradient = geodesic_gradient(self._problem, c)
+            observed = energy.geodesic_energy_unchecked(self._problem, c)
+            gradient = energy.geodesic_gradient_unchecked(self._problem, c)
         half = self.inverse_temperature * self.kappa / 2
         potential, gradient = half * observed, half[:, None, None, None] * gradient
         if len(self._field):

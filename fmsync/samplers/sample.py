@@ -144,8 +144,7 @@ def checked_energy(chains: Sampler) -> np.ndarray:
     """Energies (K,) of the chains; a RuntimeError when one of them is where no sound chain goes."""
     with np.errstate(over="ignore", invalid="ignore"):  # a chain that blew up is told of below
         energy = chains.energy()
-    bad = np.flatnonzero(~(energy <= chains.ceiling))
-    if bad.size:
+    if (bad := np.flatnonzero(~(energy <= chains.ceiling))).size:
         raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {chains.advice}")
     return energy
 

@@ -45,7 +45,7 @@ class Tempered(Sampler):
         self._rejected, self._tried = np.zeros(n_temperatures - 1), np.zeros(n_temperatures - 1)
         self._age, self._in_warmup, self._round_trips = 0, True, np.zeros(len(start), dtype=int)
         self._was_hottest = np.zeros(self._place.shape, dtype=bool)
-        self._assign()
+        self._replicas.set_temperature(self._ladder[self._place].ravel())
         self._choices: dict[str, object] = {"base": base, "energy": target.energy, "likelihood": target.likelihood}
 
     @property
@@ -90,7 +90,7 @@ class Tempered(Sampler):
         self._age += 1
         if warmup and self._age % _SPACE_EVERY == 0:
             self._respace()
-        self._assign()
+        self._replicas.set_temperature(self._ladder[self._place].ravel())
 
     def _swap(self) -> None:
         likelihood = self._replicas.log_likelihood().reshape(self._place.shape)
@@ -114,9 +114,6 @@ class Tempered(Sampler):
         barrier = np.concatenate([[0], np.cumsum(np.maximum(rejection, 1e-3))])
         self._ladder = np.interp(np.linspace(0, barrier[-1], len(self._ladder)), barrier, self._ladder)
         self._rejected[:], self._tried[:] = 0, 0
-
-    def _assign(self) -> None:
-        self._replicas.set_temperature(self._ladder[self._place].ravel())
 
     def _cold(self) -> np.ndarray:
         n_places = len(self._ladder)
