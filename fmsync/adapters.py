@@ -259,7 +259,6 @@ def to_meshio(shape: Shape) -> Any:
 
 def from_meshio(mesh: Any, name: str = "shape") -> Shape:
     """The shape of a ``meshio.Mesh`` of triangles, or of vertices alone; a ValueError names cells of another kind."""
-    others = sorted(set(mesh.cells_dict) - {"triangle", "vertex", "line"})
-    if others:
+    if others := sorted(set(mesh.cells_dict) - {"triangle", "vertex", "line"}):
         raise ValueError(f"mesh: it has cells of type {', '.join(others)}; a surface of triangles is wanted")
     return Shape(mesh.points, mesh.cells_dict.get("triangle"), name)

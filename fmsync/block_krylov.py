@@ -7,24 +7,22 @@ import numpy as np
 DENSE = 500  # below this size a dense solve is quicker and cannot miss anything
 
 
-def largest_eigenpairs(
-    apply: Callable[[np.ndarray], np.ndarray], size: int, k: int, block: int = 2, tolerance: float = 1e-9
-) -> tuple[np.ndarray, np.ndarray]:
+def largest_eigenpairs(apply: Callable[[np.ndarray], np.ndarray], size: int, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (k,) descending and orthonormal eigenvectors (size, k) of a positive definite operator.
 
     Block Lanczos with full reorthogonalisation and a fixed random start. A Krylov space grown from b vectors holds at
     most b copies of a multiple eigenvalue (symmetric shapes have them, and single-vector ARPACK was seen to drop
     copies on a sphere), so when b found values coincide the search is repeated with a block twice as large.
 
-    ``apply`` maps (size, b) to (size, b); an eigenpair is accepted when its residual is below ``tolerance`` times its
-    eigenvalue.
+    ``apply`` maps (size, b) to (size, b); residuals of eigenpairs are below a billionth of the eigenvalue.
     """
     if size <= DENSE:
         values, vectors = np.linalg.eigh(apply(np.eye(size)))
         return values[::-1][:k], vectors[:, ::-1][:, :k]
+    block = 2
     while True:
         start = np.linalg.qr(np.random.default_rng(0).standard_normal((size, block)))[0].T  # (b, size)
-        values, rows = block_lanczos(apply, start, k, lambda values: tolerance * values)
+        values, rows = block_lanczos(apply, start, k, lambda values: 1e-9 * values)
         coincide = values[block - 1 :] > values[: max(len(values) - block + 1, 0)] * (1 - 1e-6)
         if not coincide.any():
             return values, rows.T

@@ -15,6 +15,7 @@ from numba.extending import intrinsic
 
 _BITS, _TILE_ROWS, _TILE_VECTORS = 256, 4, 3  # twelve sums, in the sixteen vector registers of AVX2
 _PLACE = types.intp
+_intrinsic: Any = intrinsic  # its own type counts the context among the arguments of a call
 
 
 def products(left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
@@ -70,7 +71,10 @@ def _add_in_turn(out: np.ndarray, fixed: tuple[np.ndarray, ...]) -> None:
         _add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
 
 
-def _typed(context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any) -> Any:
+@_intrinsic  # type: ignore[untyped-decorator]
+def _add_product(
+    context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any
+) -> Any:
     """``out += weight * left @ right`` of shape = (rows, inner, columns), each from its place in a flat array.
 
     ``out`` and ``right`` are contiguous, neighbours in a column and a row of ``left`` are ``steps`` apart.
@@ -80,13 +84,14 @@ def _typed(context: Any, out: Any, left: Any, right: Any, places: Any, steps: An
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         flat = [context.make_array(kind)(context, builder, a).data for kind, a in zip(signature.args[:3], args)]
         places, steps, shape = (cgutils.unpack_tuple(builder, group) for group in args[3:6])  # type: ignore[no-untyped-call]
-        _product_code(builder, flat, places, steps, shape, args[6])
+        _product_code(builder, (flat, places, steps, shape, args[6]))
         return context.get_dummy_value()
 
     return types.void(out, left, right, triple, pair, triple, out.dtype), generate
 
 
-def _typed_fetch(context: Any, array: Any, k: Any, size: Any) -> Any:
+@_intrinsic  # type: ignore[untyped-decorator]
+def _fetch(context: Any, array: Any, k: Any, size: Any) -> Any:
     """Have the processor read block k of a flat array while it works: a fifth faster where blocks lie far apart."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -102,13 +107,10 @@ def _typed_fetch(context: Any, array: Any, k: Any, size: Any) -> Any:
     return types.void(array, _PLACE, _PLACE), generate
 
 
-_add_product: Any = intrinsic(_typed)
-_fetch: Any = intrinsic(_typed_fetch)
-
-
-def _product_code(builder: Any, flat: Any, places: Any, steps: Any, shape: Any, weight: Any) -> None:
+def _product_code(builder: Any, operands: Any) -> None:
     """Tiles of three vectors of columns, of two, one, half a vector, ... for the rest; of four rows, then of one."""
-    (rows, _, columns), index = shape, shape[0].type
+    *_, (rows, _, columns), weight = operands
+    index = rows.type
     lanes = _BITS // (32 if isinstance(weight.type, ir.FloatType) else 64)
     whole = builder.sub(rows, builder.srem(rows, index(_TILE_ROWS)))
     widths = [[lanes] * k for k in range(_TILE_VECTORS, 0, -1)] + [[lanes >> k] for k in range(1, lanes.bit_length())]
@@ -119,23 +121,13 @@ def _product_code(builder: Any, flat: Any, places: Any, steps: Any, shape: Any, 
         with cgutils.for_range_slice(builder, column, end, width, index) as (first, _):
             for n_rows, top, bottom in ((_TILE_ROWS, index(0), whole), (1, whole, rows)):
                 with cgutils.for_range_slice(builder, top, bottom, index(n_rows), index) as (row, _):
-                    _tile_code(builder, flat, places, steps, shape, weight, [row, first], n_rows, tile)
+                    _tile_code(builder, operands, [row, first], n_rows, tile)
         column = end
 
 
-def _tile_code(
-    builder: Any,
-    flat: Any,
-    places: Any,
-    steps: Any,
-    shape: Any,
-    weight: Any,
-    corner: Any,
-    n_rows: int,
-    lanes: list[int],
-) -> None:
+def _tile_code(builder: Any, operands: Any, corner: Any, n_rows: int, lanes: list[int]) -> None:
     """The loop over the inner index, for some rows and neighbouring vectors of so many lanes."""
-    _, inner, columns = shape
+    flat, places, steps, (_, inner, columns), weight = operands
     index = inner.type
 
     def sum_of(start: Any, count: Any, step: Any) -> Any:
@@ -162,10 +154,8 @@ def _tile_code(
     builder.position_at_end(loop)
     k = builder.phi(index)
     totals = [[builder.phi(ir.VectorType(weight.type, count)) for count in lanes] for _ in starts]
-    passing = [
-        builder.load(p, align=size) for p in vectors(flat[2], sum_of(builder.add(places[2], corner[1]), k, columns))
-    ]
-    new = []
+    right = sum_of(builder.add(places[2], corner[1]), k, columns)
+    passing, new = [builder.load(p, align=size) for p in vectors(flat[2], right)], []
     for start, row in zip(starts, totals):
         entry = builder.load(builder.gep(flat[1], [sum_of(start, k, steps[1])]))
         new.append([fused(entry, x, total) for x, total in zip(passing, row)])

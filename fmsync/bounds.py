@@ -36,7 +36,6 @@ def effective_resistance(
     >>> effective_resistance(3, [[0, 1], [1, 2], [0, 2]]).round(4)
     array([0.6667, 0.6667, 0.6667])
     """
-    edges = np.asarray(edges)
     checked = SyncProblem(n_nodes, edges, np.broadcast_to(np.eye(2), (len(edges), 2, 2)), weights)
     pairs = checked.edges if pairs is None else pairs
     grounded = grounded_laplacian(checked)
@@ -62,8 +61,7 @@ def relative_error_bound(
     holds where errors are small, see :func:`is_small_error`. Returns (K,) lower bounds of the mean *squared* Frobenius
     error for ``pairs`` (K, 2), the edges by default, of a connected graph with one observation per edge.
 
-    >>> import fmsync
-    >>> fmsync.relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
+    >>> relative_error_bound(3, [[0, 1], [1, 2], [0, 2]], n=3, sigma2=0.01).round(4)
     array([0.02, 0.02, 0.02])
     """
     return n * (n - 1) / 2 * sigma2 * effective_resistance(n_nodes, edges, pairs)
@@ -109,8 +107,8 @@ def expected_rms_error(
     Z = proj(I + σG): the curvature of the cost squared over the variance of its gradient. First order in the error; all
     else as in :func:`relative_error_bound`, but not squared.
 
-    >>> import fmsync, networkx as nx
-    >>> float(fmsync.expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
+    >>> import networkx as nx
+    >>> float(expected_rms_error(11, list(nx.complete_graph(11).edges), n=20, sigma2=0.01)[0].round(2))
     0.6
     """
     resistance = effective_resistance(n_nodes, edges, pairs)
@@ -153,8 +151,7 @@ def recovery_threshold(n_nodes: int, n: int, observations_per_pair: int = 1, den
     random matrices), and message passing starts to recover in the limit of many nodes (Perry et al. 2018, for Gaussian
     observations of equal signal and noise). Infinity when even σ² = 100 stays above it.
 
-    >>> import fmsync
-    >>> 0.35 < fmsync.bounds.recovery_threshold(11, 20) < 0.5
+    >>> 0.35 < recovery_threshold(11, 20) < 0.5
     True
     """
     target = recovery_cosine(n_nodes, observations_per_pair * density * n_nodes * (n_nodes - 1) / 2)

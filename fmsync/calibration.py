@@ -17,8 +17,7 @@ _MOST_DRAWS = 200  # of the energy score, whose cost grows with their square
 @checks.checked(draws="T ...", truth="...")
 def rank(draws: np.ndarray, truth: ArrayLike) -> np.ndarray:
     """Share of draws (T, ...) below the truth (...): uniform on 0, 1/T, ..., 1 over problems when all is right."""
-    draws = np.asarray(draws)
-    if draws.ndim == 0 or len(draws) == 0:
+    if len(draws) == 0:
         raise ValueError("draws: need at least one along the first axis")
     if draws.shape[1:] != np.shape(truth):
         raise ValueError(f"truth: expected {draws.shape[1:]}, as the draws have it, got {np.shape(truth)}")

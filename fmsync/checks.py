@@ -20,14 +20,15 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Rule = str | Callable[[str, Any], Any]
+Rule = str | tuple[str, ...] | Callable[[str, Any], Any]
 Sizes = dict[str, int]  # what the letters of shapes stand for in one call
 Test = Callable[[str, Any, Sizes], Any]  # of a name and a value; returns the value to use
 
 _ORTHOGONALITY_TOLERANCE = 1e-6
 _ARRAY_LIKE = set(get_args(ArrayLike))
 _SEQUENCES = {list, tuple, Sequence, Iterable}  # whose items a rule is for
-_SIZES = {"N": "n_nodes", "n": "n", "E": "n_edges"}  # letters, and what problems and their answers call them
+_SIZES = {"N": "n_nodes", "n": "n", "E": "n_edges", "V": "n_vertices"}  # letters, and what objects call them
+_NAMES = {"N": "the nodes ", "V": "the vertices "}
 
 
 def checked(**rules: Rule) -> Callable[[Function], Function]:
@@ -36,7 +37,8 @@ def checked(**rules: Rule) -> Callable[[Function], Function]:
     Annotations tell the types: an ``int`` is a count >= 1, one that may be a generator is a seed. A rule is another
     check (name, value), the bound of a count, such as ``"N >= 2"`` or ``"< N"``, or the shape of an array in words:
     ``"... N n n"``, where ``...`` are leading axes, a letter has one value in all arguments (N, n and E those of a
-    problem among them) and small ones are not 0; behind it ``rotations``, ``skew``, or ``< N`` for integers.
+    problem, V that of a shape) and small ones are not 0; behind it ``rotations``, ``skew``, or ``< N`` for integers;
+    or the words (in a tuple) that a text may be.
     """
 
     def decorate(function: Function) -> Function:
@@ -77,11 +79,9 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     kinds = kinds - _ARRAY_LIKE | {np.ndarray} if kinds >= _ARRAY_LIKE else kinds
     origins = {get_origin(kind) or kind: kind for kind in kinds}
     classes = tuple(os.PathLike if kind is Path else kind for kind in origins if kind not in _CONVERTED)
-    convert: Test | None = None
+    rule = _seed if np.random.Generator in origins and int in origins else rule
     if callable(rule) and not {*origins} - {types.NoneType} <= _SEQUENCES:
-        convert = functools.partial(_apply, rule)
-    elif np.random.Generator in origins and int in origins:
-        convert = functools.partial(_apply, _seed)
+        convert: Test | None = functools.partial(_apply, rule)
     else:
         convert = next((_CONVERTED[kind](origins[kind], rule) for kind in _CONVERTED if kind in origins), None)
     if {Any, object, inspect.Parameter.empty} & kinds:
@@ -89,6 +89,8 @@ def _test(annotation: Any, rule: Rule | None) -> Test:
     expected = " or ".join(kind.__name__ for kind in classes if kind is not types.NoneType)
 
     def test(name: str, value: Any, sizes: Sizes) -> Any:
+        if isinstance(value, str) and isinstance(rule, tuple):
+            one_of(name, value, rule)
         if isinstance(value, classes):
             return _with_sizes(value, sizes)
         if convert is None:
@@ -125,14 +127,16 @@ def _array_test(kind: Any, rule: Rule | None) -> Test:
             if rest > _ORTHOGONALITY_TOLERANCE * max(1.0, np.abs(values).max(initial=0)):
                 raise ValueError(f"{name}: not skew-symmetric, off by {rest:.2g}; take fmsync.so.skew of it")
         elif below in sizes:
-            bad = np.argwhere((values < 0) | (values >= sizes[below]))
-            if len(bad):
-                what = "the nodes " if below == "N" else ""
-                value = values[tuple(bad[0])]
-                raise ValueError(f"{name}[{bad[0][0]}] = {value} is outside {what}0..{sizes[below] - 1}")
+            _inside(name, values, sizes[below], _NAMES.get(below, ""))
         return values
 
     return test
+
+
+def _inside(name: str, values: np.ndarray, size: int, what: str) -> np.ndarray:
+    if len(bad := np.argwhere((values < 0) | (values >= size))):
+        raise ValueError(f"{name}[{bad[0][0]}] = {values[tuple(bad[0])]} is outside {what}0..{size - 1}")
+    return values
 
 
 def _count_test(kind: Any, rule: Rule | None) -> Test:
@@ -273,10 +277,7 @@ def indices(name: str, values: object, size: int, what: str = "vertices") -> np.
     array = plain(name, values)
     if array.ndim != 1 or (array.size and not np.issubdtype(array.dtype, np.integer)):
         raise ValueError(f"{name}: must be a row of integers, got {array.dtype} of shape {array.shape}")
-    bad = np.flatnonzero((array < 0) | (array >= size))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] = {array[bad[0]]} is outside the {what} 0..{size - 1}")
-    return array
+    return _inside(name, array, size, f"the {what} ")
 
 
 def edge_weights(weights: ArrayLike | None, edges: np.ndarray) -> np.ndarray:
@@ -284,8 +285,7 @@ def edge_weights(weights: ArrayLike | None, edges: np.ndarray) -> np.ndarray:
     array = np.ones(len(edges)) if weights is None else np.array(real("weights", weights), dtype=float)
     if array.shape != (len(edges),):
         raise ValueError(f"weights: expected ({len(edges)},), got {array.shape}")
-    bad = np.flatnonzero(~((array > 0) & np.isfinite(array)))
-    if bad.size:
+    if (bad := np.flatnonzero(~((array > 0) & np.isfinite(array)))).size:
         raise ValueError(f"weights: {edge_name(edges, bad[0])} has weight {array[bad[0]]}; must be > 0")
     return array
 
@@ -310,8 +310,7 @@ def rotations(name: str, c: np.ndarray, each: str = "node") -> None:
         raise ValueError(f"{name}: {each} {np.flatnonzero(~np.isfinite(c).all((1, 2)))[0]} holds NaN or infinity")
     rest = np.abs(np.swapaxes(c, -1, -2) @ c - np.eye(c.shape[-1])).max((1, 2))
     tolerance = max(_ORTHOGONALITY_TOLERANCE, 100 * np.finfo(c.dtype).eps)
-    bad = np.flatnonzero((rest > tolerance) | (np.linalg.det(c) < 0))
-    if bad.size:
+    if (bad := np.flatnonzero((rest > tolerance) | (np.linalg.det(c) < 0))).size:
         raise ValueError(f"{name}: {each} {bad[0]} is not a rotation; project it first with fmsync.so.project")
 
 
@@ -320,11 +319,9 @@ def connected_edges(n_nodes: int, edges: ArrayLike) -> np.ndarray:
     n_nodes, array = count("n_nodes", n_nodes, least=2), np.array(_integers("edges", edges))
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
         raise ValueError(f"edges: expected (E, 2) with E >= 1, got shape {array.shape}")
-    bad = np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))
-    if bad.size:
+    if (bad := np.flatnonzero(((array < 0) | (array >= n_nodes)).any(axis=1))).size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is out of range for {n_nodes} nodes")
-    bad = np.flatnonzero(array[:, 0] == array[:, 1])
-    if bad.size:
+    if (bad := np.flatnonzero(array[:, 0] == array[:, 1])).size:
         raise ValueError(f"edges: {edge_name(array, bad[0])} is a self-loop; remove it")
     graph = sp.coo_array((np.ones(len(array)), array.T), shape=(n_nodes, n_nodes))
     n_parts, part_of = connected_components(graph, directed=False)

@@ -1,19 +1,20 @@
 """The command line: ``fmsync sync``, ``solve``, ``sample`` and ``info``."""
 
 import argparse
+import importlib
 import os
 import sys
 import tomllib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import fmsync
-from fmsync import info_cli, problem_cli, sync_cli
 from fmsync.extras import MissingExtra
 
 _TYPES = {"Path": Path, "int": int, "float": float}
-_RUNS = {"sync": sync_cli.run, "transfer": sync_cli.run_transfer, "info": info_cli.run}
-_RUNS |= {"solve": problem_cli.run_solve, "sample": problem_cli.run_sample}
+_RUNS = {"sync": ("sync_cli", "run"), "transfer": ("sync_cli", "run_transfer"), "info": ("info_cli", "run")}
+_RUNS |= {"solve": ("problem_cli", "run_solve"), "sample": ("problem_cli", "run_sample")}
 
 
 def add_commands(
@@ -38,10 +39,11 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="fmsync", description=fmsync.__doc__.partition("\n")[0])
     parser.add_argument("--version", action="version", version=f"fmsync {fmsync.__version__}")
-    add_commands(parser, Path(__file__).with_name("help.toml"), _RUNS, jobs=os.cpu_count())
+    runs = {name: partial(_run, *place) for name, place in _RUNS.items()}
+    add_commands(parser, Path(__file__).with_name("help.toml"), runs, jobs=os.cpu_count())
     parsed = parser.parse_args(arguments)
     try:
-        status: int = parsed.run(parsed)
+        status = parsed.run(parsed)
         sys.stdout.flush()
         return status
     except (ValueError, MissingExtra) as error:
@@ -53,6 +55,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except (OSError, MemoryError, RuntimeError) as error:
         return _ended(str(error) or type(error).__name__, 1)
+
+
+def _run(module: str, function: str, options: argparse.Namespace) -> int:
+    """Import what a command needs when it runs, so that the others, and ``--help``, start quickly."""
+    return getattr(importlib.import_module(f"fmsync.{module}"), function)(options)
 
 
 def _ended(why: object, status: int) -> int:

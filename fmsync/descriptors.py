@@ -45,7 +45,6 @@ def heat_kernel(basis: Basis, landmarks: np.ndarray, n_times: int = 8) -> np.nda
     (V, L * n_times), the times of :func:`heat_kernel_signature` of the first landmark first, each column scaled to
     area-weighted norm 1. ``landmarks`` (L,) are vertices y, the same points in the same order on every shape.
     """
-    landmarks = checks.indices("landmarks", landmarks, basis.n_vertices)
     decay = np.exp(-np.outer(_times(basis, n_times), basis.eigenvalues))  # (T, n)
     sources = basis.eigenfunctions[landmarks]  # (L, n)
     coefficients = (sources[:, None, :] * decay).reshape(-1, basis.n)  # (L T, n)

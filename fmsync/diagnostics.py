@@ -2,8 +2,8 @@
 
 import html
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,11 +75,9 @@ class Summary:
         return Summary(self.names[:count], *(getattr(self, column)[:count] for column in _COLUMNS))
 
     def __str__(self) -> str:
-        columns = list(zip(("", *_COLUMNS), *self._cells()))
-        widths = [max(map(len, column)) for column in columns]
-        padded = [[cell.rjust(width) for cell in column] for column, width in zip(columns, widths)]
-        padded[0] = [cell.ljust(widths[0]) for cell in columns[0]]
-        return "\n".join(map("  ".join, zip(*padded)))
+        rows = [("", *_COLUMNS), *self._cells()]
+        first, *widths = (max(map(len, column)) for column in zip(*rows))
+        return "\n".join("  ".join([name.ljust(first), *map(str.rjust, cells, widths)]) for name, *cells in rows)
 
     __repr__ = __str__
 
@@ -118,10 +116,9 @@ def rhat(values: np.ndarray) -> float:
     return float(_array_stats().rhat(values)) if _varies(values) else np.nan
 
 
-@checks.checked(values="chains draws")
+@checks.checked(values="chains draws", kind=("bulk", "tail"))
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
-    checks.one_of("kind", kind, ("bulk", "tail"))
     if not _varies(values):
         return np.nan
     return float(_array_stats().ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
@@ -166,10 +163,7 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
 
 @checks.checked()
 def warn_unless_converged(post: Draws) -> None:
-    """Warn when the energy or an inferred concentration has R-hat above 1.01 or fewer than 400 effective draws.
-
-    :func:`summary` warns of its other scalars as well.
-    """
+    """Warn when the energy or an inferred concentration has R-hat above 1.01 or fewer than 400 effective draws."""
     values = _watched(post)
     r_hat, effective = (np.array([statistic(x) for x in values.values()]) for statistic in (rhat, ess))
     _warn(post.method, tuple(values), r_hat, effective)
@@ -202,9 +196,6 @@ def _varies(values: np.ndarray) -> bool:
     return values.shape[1] >= 4 and np.ptp(values) > 0
 
 
-@contextmanager
-def short_run() -> Iterator[None]:
+def short_run() -> AbstractContextManager[object]:
     """Silence :class:`ConvergenceWarning` around one run that is short on purpose."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        yield
+    return warnings.catch_warnings(action="ignore", category=ConvergenceWarning)

@@ -34,7 +34,7 @@ def functional_map(basis_i: Basis, basis_j: Basis, point_map: np.ndarray) -> np.
     return basis_i.coefficients(basis_j.eigenfunctions[point_map])
 
 
-@checks.checked(descriptors_i="V K", descriptors_j="W K", commutativity=checks.not_negative)
+@checks.checked(descriptors_i="A K", descriptors_j="W K", commutativity=checks.not_negative)
 def functional_map_from_descriptors(
     basis_i: Basis,
     basis_j: Basis,

@@ -5,16 +5,22 @@ import time
 import warnings
 from pathlib import Path
 
+import networkx as nx
+import numpy as np
+
 import fmsync
+from fmsync import bounds, langevin
+from fmsync.mesh_io import SUFFIXES, mesh_files, read_shape
 from fmsync.problem_cli import as_json, print_summary
+from fmsync.samplers.base import Target
+from fmsync.samplers.heat_bath import HeatBath
+from fmsync.samplers.sample import starts
 
 _STEPS, _DEFAULT_STEPS = 3, 2000  # of the heat bath: timed, and those of fmsync sample without options
 
 
 def run(options: argparse.Namespace) -> int:
     """Describe every file; the status is 2 if one of them cannot be used."""
-    from fmsync.mesh_io import SUFFIXES, mesh_files
-
     path: Path = options.path
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
@@ -38,11 +44,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _of_problem(file: Path) -> dict[str, object]:
     """Counts, what the graph allows, and the noise that the observations show."""
-    import networkx as nx
-    import numpy as np
-
-    from fmsync import bounds, langevin
-
     told: dict[str, object] = {"file": str(file), "kind": "problem"}
     try:
         problem = fmsync.load_problem(file)
@@ -56,8 +57,7 @@ def _of_problem(file: Path) -> dict[str, object]:
     told["recorded_noise"] = problem.provenance.get("noise")
     if cycles == 0:
         return told | {"kappa": None, "noise": "no cycle: nothing tells how noisy the maps are; give sample --kappa"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         relative = fmsync.solve(problem, "spectral").relative()
     agreement = float(np.einsum("eab,eab->e", relative, problem.maps).mean()) / n
     cosine = 1 - (1 - agreement) * n_edges / cycles  # the fit takes its part of the noise
@@ -68,35 +68,19 @@ def _of_problem(file: Path) -> dict[str, object]:
         squared = bounds.langevin_error_bound(n_nodes, problem.edges, n, kappa)
         told["rms_error_bound"] = float(np.sqrt(squared.mean()))
         told["bound_holds"] = bool(bounds.is_small_error(n, squared).all())
-    return told | {"sample_seconds": _seconds(problem)}
-
-
-def _seconds(problem: "fmsync.SyncProblem") -> float:
-    """What ``fmsync sample`` would take, from a few of its steps."""
-    import numpy as np
-
-    from fmsync.samplers.base import Target
-    from fmsync.samplers.heat_bath import HeatBath
-    from fmsync.samplers.sample import starts
-
     rng = np.random.default_rng(0)
     chains = HeatBath(Target(problem), starts(problem, "spectral", 4, rng), rng)
     chains.step(warmup=True)  # compiles
     began = time.perf_counter()
     for _ in range(_STEPS):
         chains.step(warmup=True)
-    return (time.perf_counter() - began) * _DEFAULT_STEPS / _STEPS
+    return told | {"sample_seconds": (time.perf_counter() - began) * _DEFAULT_STEPS / _STEPS}
 
 
 def _of_mesh(file: Path) -> dict[str, object]:
     """Counts, what the reader repaired, and what will make matching hard."""
-    import numpy as np
-
-    from fmsync.mesh_io import read_shape
-
     told: dict[str, object] = {"file": str(file), "kind": "mesh"}
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         try:
             shape = read_shape(file, manifold=False)
         except ValueError as error:

@@ -36,11 +36,13 @@ def log_normaliser(n: int, kappa: float | np.ndarray) -> np.ndarray:
     """
     kappa, flat = _checked(n, kappa)
     result = np.empty(flat.shape)
-    small = flat < _SMALL
-    if small.any():
+    if (small := flat < _SMALL).any():
         result[small] = _log_normaliser_small(n, flat[small])
     if (~small).any():
-        result[~small] = _log_normaliser_large(n, flat[~small])
+        large, k = flat[~small], n // 2
+        _, mass, ratio = _recurrence(n, large)
+        times = 2.0 * np.arange(k - 1, 0, -1)  # b_j enters h_j, ..., h_{k-1}
+        result[~small] = (n % 2) * large + k * (np.log(mass / np.pi) + 2 * large) + np.log(ratio) @ times
     return result.reshape(kappa.shape)[()]
 
 
@@ -79,8 +81,7 @@ def _checked(n: int, kappa: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     checks.count("n", n, least=2)
     kappa = checks.real("kappa", kappa).astype(float)
     flat = kappa.ravel()
-    bad = flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]
-    if bad.size:
+    if (bad := flat[~((flat >= 0) & (flat <= _LARGEST_KAPPA))]).size:
         raise ValueError(f"kappa: concentrations lie in [0, {_LARGEST_KAPPA:g}], got {bad[0]}")
     return kappa, flat
 
@@ -90,13 +91,6 @@ def _derivative(n: int, kappa: np.ndarray) -> np.ndarray:
     sign = np.where(kappa < 0, -1.0, 1.0)
     centre, _, _ = _recurrence(n, kappa)
     return n % 2 + 2 * (sign[:, None] * (1 - centre)).sum(1)
-
-
-def _log_normaliser_large(n: int, kappa: np.ndarray) -> np.ndarray:
-    k = n // 2
-    _, mass, ratio = _recurrence(n, kappa)
-    times = 2.0 * np.arange(k - 1, 0, -1)  # b_j enters h_j, ..., h_{k-1}
-    return (n % 2) * kappa + k * (np.log(mass / np.pi) + 2 * kappa) + np.log(ratio) @ times
 
 
 def _log_normaliser_small(n: int, kappa: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ before memory is taken, every number must be one, and a refusal names the line. 
 ground truth of a collection; :mod:`fmsync.mesh_repair` then examines the mesh.
 """
 
-import gc
+import contextlib
+import itertools
 import math
 import re
 import warnings
@@ -63,8 +64,6 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
     where, and what to do when the file cannot be read or the mesh cannot be repaired.
     """
     path = _existing(Path(path))
-    collecting = gc.isenabled()
-    gc.disable()  # a search for cycles among a million words that are made at once slows the reading
     readers = {".off": _read_off, ".obj": _read_obj, ".ply": _read_ply, ".stl": _read_stl, ".vert": _read_vert_tri}
     try:
         if path.suffix.lower() not in readers:
@@ -82,9 +81,6 @@ def read_shape(path: str | Path, manifold: bool = True) -> Shape:
         return Shape(vertices, faces, path.stem)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def _existing(path: Path) -> Path:
@@ -106,12 +102,10 @@ def _rows(data: bytes, first: int = 1) -> Rows:
 
 def _converted(words: list[str], kind: type, rows: Rows, sizes: int | list[int]) -> np.ndarray:
     """Words of the rows, ``sizes`` from each, as one array; the first that does not fit is named with its line."""
-    try:
+    with contextlib.suppress(ValueError, OverflowError):
         values: np.ndarray = np.array(words, dtype=kind)
         if np.isfinite(values).all() and "_" not in "".join(words):  # Python reads 1_0 as ten
             return values
-    except (ValueError, OverflowError):
-        pass
     what = "a number" if kind is float else "the number of a vertex"
     for k, word in enumerate(words):
         if not (_WORDS[kind].fullmatch(word) and math.isfinite(float(word))):
@@ -152,41 +146,20 @@ def _polygons(rows: Rows, at: int = 0) -> np.ndarray:
     return _fans(_converted(corners, int, rows, sizes), sizes)
 
 
-def _stream_of_triangles(data: bytes) -> Mesh | None:
-    """An OFF file of nothing but numbers, points and triangles, however they are spread over lines; None otherwise.
-
-    Most files are, and one stream is read faster than lines, which say where a fault is.
-    """
-    keyword, *words = data.split() or [b""]
-    if keyword != b"OFF" or len(words) < 3 or b"#" in data or b"_" in data or not all(map(bytes.isdigit, words[:3])):
-        return None
-    n_vertices, n_faces = map(int, words[:2])
-    if n_faces == 0 or len(words) != 3 + 3 * n_vertices + 4 * n_faces:
-        return None
-    try:
-        points = np.array(words[3 : 3 + 3 * n_vertices], dtype=float).reshape(-1, 3)
-        faces = np.array(words[3 + 3 * n_vertices :], dtype=np.int64).reshape(-1, 4)
-    except (ValueError, OverflowError):
-        return None
-    plain = np.isfinite(points).all() and (faces[:, 0] == 3).all()
-    return (points, faces[:, 1:]) if plain else None
-
-
 def _read_off(path: Path) -> Mesh:
-    data = path.read_bytes()
-    mesh = _stream_of_triangles(data)
-    if mesh is not None:
-        return mesh
-    rows = _rows(data)
-    head = rows[0][1] if rows else [""]
+    rows = _rows(path.read_bytes())
+    head, words = rows[0][1] if rows else [""], [(line, word) for line, row in rows for word in row]
     found = re.fullmatch(r"(?:ST)?C?N?OFF(\d*)", head[0])
     if found is None or "BINARY" in head:
         raise ValueError(f"a text mesh in space begins with OFF, this one with {' '.join(head[:2])!r}: {_AGAIN}")
     counts = ([found[1]] if found[1] else []) + head[1:]  # some write the counts beside the keyword
     counts, rows = (counts, rows[1:]) if counts else (rows[1][1] if len(rows) > 1 else [], rows[2:])
-    if len(counts) < 2 or not all(word.isdecimal() for word in counts):
+    if len(counts) < 2 or not all(word.isdecimal() for word in counts[:3]):
         raise ValueError(f"the line of counts must hold the numbers of vertices, faces and edges, not {counts}")
     n_vertices, n_faces = int(counts[0]), int(counts[1])
+    if len(rows) != n_vertices + n_faces and len(words) == 4 + 3 * n_vertices + 4 * n_faces:  # not a line for each
+        ends = [*range(4, len(words) - 4 * n_faces, 3), *range(4 + 3 * n_vertices, len(words) + 1, 4)]
+        rows = [(words[a][0], [word for _, word in words[a:b]]) for a, b in itertools.pairwise(ends)]
     for what, announced, there in (("vertices", n_vertices, len(rows)), ("faces", n_faces, len(rows) - n_vertices)):
         if there < announced:
             raise ValueError(f"{announced} {what} announced, the file ends after {there}: {_AGAIN}")
@@ -296,7 +269,7 @@ def _ply_header(lines: list[str]) -> tuple[str, list[tuple[str, int, Properties]
     if order is None:
         raise ValueError(f"its header names no format: {_AGAIN}")
     for element, number, properties in elements:
-        first = _first_list(properties)
+        first = next((k for k, (_, _, counted) in enumerate(properties) if counted), len(properties))
         corners = [name for name, of, _ in properties[first : first + 1] if of[0] != "f"]
         if number and element == "vertex" and not {*"xyz"} <= {name for name, _, _ in properties[:first]}:
             raise ValueError(f"its vertices do not begin with x, y and z: {_AGAIN}")
@@ -305,16 +278,12 @@ def _ply_header(lines: list[str]) -> tuple[str, list[tuple[str, int, Properties]
     return order, elements
 
 
-def _first_list(properties: Properties) -> int:
-    return next((k for k, (_, _, counted) in enumerate(properties) if counted), len(properties))
-
-
 def _ply_binary(
     data: bytes, at: int, what: str, count: int, properties: Properties, order: str
 ) -> tuple[dict[str, tuple[np.ndarray, list[int]]], int]:
     """Values of every property and how many each row has of a list, and where the element ends."""
     short = f"{what} announced, the file is too short for them: {_AGAIN}"
-    if _first_list(properties) == len(properties):
+    if not any(counted for _, _, counted in properties):
         record = np.dtype([(name, order + of) for name, of, _ in properties])
         if count * record.itemsize > len(data) - at:
             raise ValueError(short)

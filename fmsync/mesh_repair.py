@@ -22,14 +22,12 @@ def repaired(
     ``manifold`` also three corners on one line, and an edge with more than two faces that is not a fin's.
     """
     said: list[str] = []
-    outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
-    if outside.any():
+    if (outside := ((faces < 0) | (faces >= len(vertices))).any(axis=1)).any():
         face = int(np.argmax(outside))
         raise ValueError(f"face {face} uses vertices {faces[face].tolist()} of 0..{len(vertices) - 1}: mend the file")
     _, first, label = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     representative = first[label.ravel()]
-    merged = representative != np.arange(len(vertices))
-    if merged.any():
+    if (merged := representative != np.arange(len(vertices))).any():
         said.append(f"{merged.sum()} vertices lie exactly on others and were merged with them")
         faces = representative[faces]
     ordered = np.sort(faces, axis=1)
@@ -41,10 +39,18 @@ def repaired(
     faces = _kept(faces, once, "repeat others", said)
     if manifold:
         faces = _manifold(vertices, faces, said)
-    faces = _main_component(vertices, faces, said)
+    links = np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())
+    graph = coo_array(links, shape=(len(vertices), len(vertices)))
+    of_face = connected_components(graph, directed=False)[1][faces[:, 0]]
+    count, area = len(np.unique(of_face)), np.bincount(of_face, triangle_areas(vertices, faces))
+    if count > 1:
+        share = area.max() / area.sum()
+        if not share >= _MAIN_SHARE:
+            raise ValueError(f"{count} components, the largest with {share:.0%} of the area: give one of them")
+        said.append(f"{count} components; the largest, {share:.1%} of the area, was kept")
+        faces = faces[of_face == area.argmax()]
     used = np.bincount(faces.ravel(), minlength=len(vertices)) > 0
-    idle = ~used & ~merged
-    if idle.any():
+    if (idle := ~used & ~merged).any():
         said.append(f"{idle.sum()} vertices are on no face and were dropped, the first is vertex {idle.argmax()}")
     return vertices[used], (np.cumsum(used) - 1)[faces], said
 
@@ -60,11 +66,9 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.nd
     """Refuse flat faces and crowded edges; fins, which hang on such an edge by a free one of their own, are peeled."""
     corners = vertices[faces]
     longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
-    flat = 2 * triangle_areas(vertices, faces) <= 1e-10 * longest2
-    if flat.any():
-        raise ValueError(
-            f"face {np.argmax(flat)} has no area, its corners lie on one line ({flat.sum()} such): remesh it"
-        )
+    if (flat := 2 * triangle_areas(vertices, faces) <= 1e-10 * longest2).any():
+        where = f"face {flat.argmax()} has no area, its corners lie on one line"
+        raise ValueError(f"{where} ({flat.sum()} such): remesh it")
     standing = np.ones(len(faces), dtype=bool)
     while True:
         # one number an edge: far quicker to sort than rows
@@ -80,17 +84,3 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.nd
         edge = f"an edge of the face on vertices {faces[standing][np.argmax(crowded)].tolist()}"
         raise ValueError(f"{edge} belongs to more than two faces: not a manifold there; split or remesh it")
     return _kept(faces, standing, "stood as fins on edges with two other faces", said)
-
-
-def _main_component(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.ndarray:
-    links = np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())
-    graph = coo_array(links, shape=(len(vertices), len(vertices)))
-    of_face = connected_components(graph, directed=False)[1][faces[:, 0]]
-    count, area = len(np.unique(of_face)), np.bincount(of_face, triangle_areas(vertices, faces))
-    if count == 1:
-        return faces
-    share = area.max() / area.sum()
-    if not share >= _MAIN_SHARE:
-        raise ValueError(f"{count} components, the largest with {share:.0%} of the area: give one of them")
-    said.append(f"{count} components; the largest, {share:.1%} of the area, was kept")
-    return faces[of_face == area.argmax()]

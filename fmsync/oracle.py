@@ -27,8 +27,7 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     if draws.ndim != 4 or draws.shape[1:] != truth.shape or len(draws) == 0:
         raise ValueError(f"draws: expected (K, {', '.join(map(str, truth.shape))}) with K >= 1, got {draws.shape}")
     counts = np.arange(1, len(draws) + 1) if counts is None else np.asarray(counts)
-    bad = np.flatnonzero((counts < 1) | (counts > len(draws)))
-    if bad.size:
+    if (bad := np.flatnonzero((counts < 1) | (counts > len(draws)))).size:
         raise ValueError(f"counts[{bad[0]}] = {counts[bad[0]]} is outside 1..{len(draws)}, the number of draws")
     target = fix_gauge(truth)
     squared = np.empty((len(draws), len(truth)))  # of ‖C_i - Ĉ_i‖ after every draw

@@ -62,8 +62,7 @@ class SyncProblem:
             raise ValueError(f"maps: expected (E, n, n) with n >= 2, got {maps.shape}; all maps must be of one size")
         if len(maps) != len(edges):
             raise ValueError(f"maps: {len(maps)} maps for {len(edges)} edges; give one map per edge")
-        bad = np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))
-        if bad.size:
+        if (bad := np.flatnonzero(~np.isfinite(maps).all(axis=(1, 2)))).size:
             raise ValueError(f"maps: {checks.edge_name(edges, bad[0])} holds NaN or infinity")
         arrays = {"edges": edges, "maps": maps, "weights": checks.edge_weights(weights, edges)}
         checks.set_fields(self, n_nodes=n_nodes, **arrays, provenance={} if provenance is None else provenance)
@@ -157,8 +156,7 @@ class LangevinPrior:
         if kappa.shape not in ((), mean.shape[:1]):
             raise ValueError(f"kappa: expected one number or ({len(mean)},), got {kappa.shape}")
         kappa = np.array(np.broadcast_to(kappa, len(mean)))
-        bad = np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))
-        if bad.size:
+        if (bad := np.flatnonzero(~((kappa >= 0) & np.isfinite(kappa)))).size:
             raise ValueError(f"kappa: node {bad[0]} has {kappa[bad[0]]}; concentrations are finite and >= 0")
         if not kappa.any():
             raise ValueError("kappa: all concentrations are 0; leave the prior out instead")

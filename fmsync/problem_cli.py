@@ -5,24 +5,32 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 import fmsync
+from fmsync.files import replacing
+
+Answer = tuple[dict[str, Any], dict[str, object]]  # arrays by name (None is left out), and the summary
 
 
 def run_solve(options: argparse.Namespace) -> int:
     """Solve, certify and write."""
-    _check(options)
-    problem, began = fmsync.load_problem(options.problem), time.perf_counter()
-    with said_in_plain_words() as said:
-        estimate = fmsync.solve(problem, options.method, rng=options.seed, restarts=options.restarts)
+    return _run(options, _solved)
+
+
+def run_sample(options: argparse.Namespace) -> int:
+    """Sample, diagnose and write."""
+    return _run(options, _sampled)
+
+
+def _solved(problem: fmsync.SyncProblem, options: argparse.Namespace) -> Answer:
+    estimate = fmsync.solve(problem, options.method, rng=options.seed, restarts=options.restarts)
     certificate = fmsync.certify(problem, estimate) if estimate.on_group else None
     arrays = {"absolute": estimate.absolute, "edges": problem.edges, "relative": estimate.relative()}
-    if estimate.edge_weights is not None:
-        arrays["edge_weights"] = estimate.edge_weights
-    summary = {
+    return arrays | {"edge_weights": estimate.edge_weights}, {
         "cost": estimate.cost,
         "converged": estimate.converged,
         "iterations": estimate.n_iterations,
@@ -30,25 +38,17 @@ def run_solve(options: argparse.Namespace) -> int:
         "gap_bound": None if certificate is None else certificate.gap_bound,
         "starts_that_agree": f"{estimate.n_agreeing} of {estimate.n_starts}",
     }
-    _write(options, arrays, summary, said, began)
-    return 0
 
 
-def run_sample(options: argparse.Namespace) -> int:
-    """Sample, diagnose and write."""
-    _check(options)
-    problem, began = fmsync.load_problem(options.problem), time.perf_counter()
-    with said_in_plain_words() as said:
-        names = ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
-        chosen = {name: getattr(options, name) for name in names}
-        post = fmsync.sample(problem, options.method, rng=options.seed, **chosen)
+def _sampled(problem: fmsync.SyncProblem, options: argparse.Namespace) -> Answer:
+    names = ("n_chains", "n_draws", "warmup", "thin", "kappa", "likelihood")
+    chosen = {name: getattr(options, name) for name in names}
+    post = fmsync.sample(problem, options.method, rng=options.seed, **chosen)
     if post.interrupted:
         raise KeyboardInterrupt
-    arrays = {"absolute": post.absolute, "energy": post.energy, "kappa": post.kappa, "edges": problem.edges}
-    arrays["relative_mean"] = post.relative_mean()
-    by_edge = {"edge_weights": post.edge_weights, "kappas": post.kappas}
-    arrays |= {name: values for name, values in by_edge.items() if values is not None}
-    summary = {
+    kept = ("absolute", "energy", "kappa", "edge_weights", "kappas")
+    arrays = {name: getattr(post, name) for name in kept}
+    return arrays | {"edges": problem.edges, "relative_mean": post.relative_mean()}, {
         "chains": post.n_chains,
         "draws": post.n_draws,
         "energy": float(post.energy.mean()),
@@ -57,20 +57,6 @@ def run_sample(options: argparse.Namespace) -> int:
         "kappa": float(post.kappa.mean()),
         "kappa_sd": float(post.kappa.std()),
     }
-    _write(options, arrays, summary, said, began)
-    return 0
-
-
-@contextmanager
-def said_in_plain_words() -> Iterator[list[str]]:
-    """What was warned of inside, printed on stderr and listed, without the lines of code that Python adds."""
-    said: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield said
-    said += dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning | RuntimeWarning))
-    for line in said:
-        print(f"fmsync: warning: {line}", file=sys.stderr)
 
 
 def print_summary(summary: Mapping[str, object]) -> None:
@@ -80,7 +66,8 @@ def print_summary(summary: Mapping[str, object]) -> None:
         print(f"{name.replace('_', ' '):28}{f'{text:.6g}' if isinstance(text, float) else text}")
 
 
-def _check(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace, work: Callable[[fmsync.SyncProblem, argparse.Namespace], Answer]) -> int:
+    """The arrays of the answer into the output, whole or not at all, and the summary on stdout."""
     if options.seed < 0:
         raise ValueError(f"--seed: a whole number >= 0, got {options.seed}")
     if options.output.suffix != ".npz" or options.output.is_dir() or not options.output.parent.is_dir():
@@ -89,23 +76,20 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"{options.problem}: there is no such file")
     if options.output.exists() and options.output.samefile(options.problem):
         raise ValueError(f"{options.output}: it is the problem; name another file")
-
-
-def _write(
-    options: argparse.Namespace, arrays: Mapping[str, Any], summary: Mapping[str, object], said: list[str], began: float
-) -> None:
-    """The arrays into the output, whole or not at all, and the summary on stdout."""
-    import numpy as np
-
-    from fmsync.files import replacing
-
+    problem, began = fmsync.load_problem(options.problem), time.perf_counter()
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        arrays, summary = work(problem, options)
+    said = [*dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning | RuntimeWarning))]
+    for line in said:  # without the lines of code that Python adds
+        print(f"fmsync: warning: {line}", file=sys.stderr)
     with replacing(options.output) as file:
-        np.savez(file, **arrays)
+        np.savez(file, **{name: values for name, values in arrays.items() if values is not None})
     told = {"output": str(options.output), "method": options.method, **summary, "seconds": time.perf_counter() - began}
     if options.json:
         print(as_json(told | {"warnings": said}))
     else:
         print_summary(told)
+    return 0
 
 
 def as_json(told: object) -> str:

@@ -29,8 +29,7 @@ class Registry(dict[str, Entry]):
         if method not in self:
             raise ValueError(f"method: no {self._kind} is called {method!r}; {near_names(method, self)}")
         known = [name for name in inspect.signature(self[method]).parameters if name not in self._given]
-        unknown = sorted(set(options) - set(known))
-        if unknown:
+        if unknown := sorted(set(options) - set(known)):
             raise ValueError(f"{unknown[0]}: {method!r} has no such option; it takes {', '.join(known) or 'none'}")
         return self[method], known
 

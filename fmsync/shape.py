@@ -103,9 +103,6 @@ class Basis:
     @checks.checked(functions="V ...")
     def coefficients(self, functions: np.ndarray) -> np.ndarray:
         """Coefficients Φᵀ A f of functions f (V,) or (V, K): (n,) or (n, K)."""
-        functions = np.asarray(functions)
-        if functions.shape[:1] != self.mass.shape:
-            raise ValueError(f"functions must have one row for each of {self.n_vertices} vertices: {functions.shape}")
         return (self.eigenfunctions * self.mass[:, None]).T @ functions
 
     @checks.checked(k="< n")
@@ -170,8 +167,13 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.csr_array, np.ndarray]:
     """Stiffness (V, V), positive semi-definite, and lumped mass (V,)."""
-    if faces is not None and _is_clean(vertices, faces):
-        return _cotangent_laplacian(vertices, faces)
+    if faces is not None:
+        edges = edges_of_faces(faces)
+        _, n_faces = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+        squared = ((vertices[edges[:, 0]] - vertices[edges[:, 1]]) ** 2).sum(axis=1).reshape(-1, 3)  # (F, 3)
+        # no edge in more than two faces, no face so thin that its cotangents are noise
+        if n_faces.max() <= 2 and (triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)).all():
+            return _cotangent_laplacian(vertices, faces)
     robust_laplacian = require("robust_laplacian", "shapes")
     if faces is None:
         n_neighbours = min(30, len(vertices) - 1)
@@ -185,15 +187,6 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.c
 def edges_of_faces(faces: np.ndarray) -> np.ndarray:
     """(3 F, 2) edges of triangles (F, 3), the smaller vertex first: corners 0–1, 1–2 and 2–0 of every face in turn."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-
-
-def _is_clean(vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """No edge in more than two faces, no face so thin that its cotangents are noise."""
-    edges = edges_of_faces(faces)
-    _, n_faces = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
-    squared = ((vertices[edges[:, 0]] - vertices[edges[:, 1]]) ** 2).sum(axis=1).reshape(-1, 3)  # (F, 3)
-    fat_enough = triangle_areas(vertices, faces) > 1e-6 * squared.max(axis=1)
-    return bool(n_faces.max() <= 2 and fat_enough.all())
 
 
 def _cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
@@ -225,6 +218,14 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)  # (F,)
 
 
+@checks.checked(vertices="V 3")
+def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
+    """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map."""
+    vertices = np.asarray(vertices, dtype=float)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return 0.1 + 0.9 * (vertices - low) / np.where(high > low, high - low, 1)
+
+
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices as float64 and faces as int64 (or None), or a ValueError that names the first offender."""
     vertices = checks.real(f"{name}: vertices", vertices).astype(np.float64, order="C")
@@ -232,8 +233,7 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
         raise ValueError(f"{name}: vertices must have shape (V, 3), got {vertices.shape}")
     if len(vertices) == 0:
         raise ValueError(f"{name}: no vertices; the file may be empty or truncated")
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
+    if len(bad := np.flatnonzero(~np.isfinite(vertices).all(axis=1))):
         raise ValueError(f"{name}: vertex {bad[0]} is not finite ({len(bad)} such vertices): repair or remove it")
     if faces is None:
         return vertices, None
@@ -245,14 +245,11 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike | None, name: str) -> tu
     if not np.issubdtype(faces.dtype, np.integer):
         raise ValueError(f"{name}: faces must hold integers, got {faces.dtype}")
     faces = faces.astype(np.int64, order="C")
-    bad = np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))
-    if len(bad):
+    if len(bad := np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))):
         raise ValueError(f"{name}: face {bad[0]} is {faces[bad[0]]}, outside the vertices 0..{len(vertices) - 1}")
-    bad = np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))
-    if len(bad):
+    if len(bad := np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))):
         raise ValueError(f"{name}: face {bad[0]} is {faces[bad[0]]}, which repeats a vertex: remove the face")
-    unused = np.flatnonzero(np.bincount(faces.ravel(), minlength=len(vertices)) == 0)
-    if len(unused):
+    if len(unused := np.flatnonzero(np.bincount(faces.ravel(), minlength=len(vertices)) == 0)):
         raise ValueError(f"{name}: vertex {unused[0]} belongs to no face ({len(unused)} such): remove it and renumber")
     if not triangle_areas(vertices, faces).sum() > 0:
         raise ValueError(f"{name}: the surface has area zero: all faces are degenerate")

@@ -116,12 +116,10 @@ def log(r: np.ndarray) -> np.ndarray:
     flat = r.reshape(-1, n, n)
     omega = np.empty(flat.shape)
     for first in range(0, len(flat), _AT_ONCE):
-        part = flat[first : first + _AT_ONCE]
-        few = _may_be_near(part[:4])  # most batches are near as a whole, or far: then the rest need not be asked
-        near = _may_be_near(part) if few.any() else np.zeros(len(part), bool)
-        found = omega[first : first + _AT_ONCE]
-        if few.any():
-            asked = np.flatnonzero(near)
+        part, found = flat[first : first + _AT_ONCE], omega[first : first + _AT_ONCE]
+        near = np.zeros(len(part), bool)
+        if _may_be_near(part[:4]).any():  # most batches are near as a whole, or far: then the rest need not be asked
+            asked = np.flatnonzero(_may_be_near(part))
             found[asked], near[asked] = _log_series(part[asked])
         found[~near] = log_eigen_unchecked(part[~near])
     return omega.reshape(r.shape)
@@ -163,10 +161,8 @@ def log_eigen_unchecked(flat: np.ndarray) -> np.ndarray:
     ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
     rough = (v * ratio[:, None, :]) @ transpose(moved)  # -f(S) K
     omega = skew(-rough)
-    trusted = (np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE) & (
-        angle.max(axis=-1, initial=0) < _MOST
-    )
-    for index in np.flatnonzero(~trusted):
+    trusted = np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE
+    for index in np.flatnonzero(~(trusted & (angle.max(axis=-1, initial=0) < _MOST))):
         omega[index] = _log_schur(flat[index])
     return omega
 

@@ -14,6 +14,14 @@ from functools import partial
 from pathlib import Path
 
 import fmsync
+from fmsync.matching import ConformalCalibration, SyncedShapes
+from fmsync.matching.conformal import default_calibration
+from fmsync.matching.map_files import read_maps
+from fmsync.matching.outliers import OutlierWarning
+from fmsync.matching.output import edge_table, transferred_tables, write_all
+from fmsync.matching.quality import quality_flags
+from fmsync.mesh_io import mesh_files, read_shape
+from fmsync.shape import Shape
 
 _WORK = ".fmsync"  # inside OUT while a run is not complete: finished pairs, and the output as it is written
 _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them stand in one
@@ -21,33 +29,16 @@ _LONGEST_NAME = 80  # characters of a shape's name in file names; two of them st
 
 def run_transfer(options: argparse.Namespace) -> int:
     """Carry the columns of a table to every other shape of a collection."""
-    from fmsync.matching.output import transferred_tables
-
     with _working_folder(options.output) as work:
         tables = transferred_tables(options.synced, options.values, options.on)
-        (work / "output").mkdir()
         for name, table in tables.items():
             table.to_csv(work / "output" / f"{name}.csv", index=False, float_format="%.5g")
-        _publish(work, options.output)
     print(f"{options.output}: a table for each of {len(tables)} shapes")
     return 0
 
 
-def _publish(work: Path, output: Path) -> None:
-    """Move what is finished to its place."""
-    for part in (work / "output").iterdir():
-        os.replace(part, output / part.name)
-    shutil.rmtree(work)
-
-
 def run(options: argparse.Namespace) -> int:
     """Do what the command line says; whatever is wrong with it raises a ValueError before long work."""
-    from fmsync.matching.conformal import ConformalCalibration, default_calibration
-    from fmsync.matching.map_files import read_maps
-    from fmsync.matching.output import write_all
-    from fmsync.matching.quality import quality_flags
-    from fmsync.mesh_io import mesh_files, read_shape
-
     _check(options)
     own = options.calibration
     calibration = default_calibration() if own is None else ConformalCalibration.load(own)
@@ -57,8 +48,7 @@ def run(options: argparse.Namespace) -> int:
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     with _working_folder(options.output) as work:
         caught: list[str] = []
-        with warnings.catch_warnings():
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(action="always"):
             warnings.showwarning = partial(_hear, caught)
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
             sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
@@ -74,11 +64,7 @@ def run(options: argparse.Namespace) -> int:
             except ValueError as error:  # arguments are options here
                 told = re.sub(r"\bn_(basis|refined|samples|draws)\b", r"--\1", str(error))
                 raise ValueError(told) from error
-        folder = work / "output"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        write_all(synced, folder, options.level, calibration, options.jobs, progress)
-        _publish(work, options.output)
+        write_all(synced, work / "output", options.level, calibration, options.jobs, progress)
     said = list(dict.fromkeys([*quality_flags(synced), *caught]))
     for line in said:
         print(f"fmsync: warning: {line}", file=sys.stderr)
@@ -127,16 +113,23 @@ def _check(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _working_folder(output: Path) -> Iterator[Path]:
-    """``OUT/.fmsync``; if nothing worth keeping is in it afterwards, it goes, and OUT as well if it was not there."""
+    """``OUT/.fmsync``, from whose folder ``output`` all is moved to OUT in the end.
+
+    If nothing worth keeping is in it afterwards, it goes, and OUT as well if it was not there.
+    """
     if output.exists() and not output.is_dir():
         raise ValueError(f"{output}: it is a file; name a folder that is new or empty")
     if output.is_dir() and {path.name for path in output.iterdir()} - {_WORK}:
         raise ValueError(f"{output}: it is not empty; name a folder that is new or empty")
     new = not output.exists()
     work = output / _WORK
-    work.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(work / "output", ignore_errors=True)
+    (work / "output").mkdir(parents=True)
     try:
         yield work
+        for part in (work / "output").iterdir():
+            os.replace(part, output / part.name)
+        shutil.rmtree(work)
     finally:
         if work.is_dir() and not any((work / "pairs").glob("*.npz")):
             shutil.rmtree(work, ignore_errors=True)
@@ -144,12 +137,8 @@ def _working_folder(output: Path) -> Iterator[Path]:
                 output.rmdir()
 
 
-def _summary(
-    synced: "fmsync.matching.SyncedShapes", output: Path, files: Mapping[str, Path], said: Sequence[str]
-) -> dict[str, object]:
+def _summary(synced: SyncedShapes, output: Path, files: Mapping[str, Path], said: Sequence[str]) -> dict[str, object]:
     """What a script wants to know of a result."""
-    from fmsync.matching.output import edge_table
-
     assert synced.posterior is not None, "the command asks for draws"
     return {
         "output": str(output),
@@ -168,23 +157,20 @@ def _summary(
 
 def _hear(caught: list[str], message: Warning | str, category: type[Warning], *_: object) -> None:
     """Keep warnings that are not said in plain words already; say at once what is known before long work."""
-    from fmsync.matching.outliers import OutlierWarning
-
     if category is OutlierWarning:
         print(f"fmsync: warning: {message}", file=sys.stderr)
     elif category in (UserWarning, RuntimeWarning):
         caught.append(str(message))  # a ConvergenceWarning is one of the flags, the rest is for programmers
 
 
-def _landmarks(path: Path, shapes: "Sequence[fmsync.Shape]") -> list[list[int]]:
+def _landmarks(path: Path, shapes: Sequence[Shape]) -> list[list[int]]:
     """Vertices of every shape, from lines 'NAME: 1 2 3' in any order or lines of numbers in the order of the shapes."""
     lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     if len(lines) != len(shapes):
         raise ValueError(f"{path}: {len(lines)} lines for {len(shapes)} meshes")
     if any(":" in line for line in lines):
         named = {name.strip(): numbers for name, _, numbers in (line.rpartition(":") for line in lines)}
-        missing = [shape.name for shape in shapes if shape.name not in named]
-        if missing:
+        if missing := [shape.name for shape in shapes if shape.name not in named]:
             raise ValueError(f"{path}: no line 'NAME: ...' for {', '.join(missing)}; it has {', '.join(named)}")
         lines = [named[shape.name] for shape in shapes]
     words = [line.replace(",", " ").split() for line in lines]

@@ -200,7 +200,7 @@ def test_heatmaps_share_a_symmetric_scale():
     ("matrices", "titles", "message"),
     [
         ([], None, "matrices is empty"),
-        ([np.zeros(3)], None, r"matrices\[0\] has shape \(3,\)"),
+        ([np.zeros(3)], None, r"matrices\[0\]: expected \(n, m\), got shape \(3,\)"),
         ([np.eye(2)], ["a", "b"], "2 titles for 1 matrices"),
     ],
 )

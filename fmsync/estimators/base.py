@@ -98,12 +98,11 @@ class Estimate:
         return 0 if self.trace is None else len(self.trace.cost) - 1
 
     @classmethod
-    @checks.checked(absolute="N n n")
+    @checks.checked(absolute="N n n", group=GROUPS)
     def from_absolute(
         cls, problem: SyncProblem, absolute: np.ndarray, method: str, group: str = "SO", **fields: Any
     ) -> "Estimate":
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
-        checks.one_of("group", group, GROUPS)
         absolute = fix_gauge(nearest(absolute, group))
         absolute[0] = np.eye(problem.n)
         fields.setdefault("cost", float(energy(problem, absolute)))
@@ -155,8 +154,7 @@ class Estimate:
         return self.relative(edges), np.sqrt(p.dim * variance / cosine**2 * resistance * quantile)
 
 
-#: Register a function ``(problem, *, rng, callback, **options) -> Estimate`` under a name.
-estimator = ESTIMATORS.register
+estimator = ESTIMATORS.register  #: register a function ``(problem, *, rng, callback, **options) -> Estimate`` by name
 
 
 def methods() -> list[str]:

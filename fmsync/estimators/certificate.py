@@ -84,25 +84,15 @@ def least_eigenvalue(problem: SyncProblem, absolute: np.ndarray, scales: np.ndar
     scales = np.ones(problem.n_nodes) if scales is None else scales
     multipliers = scales[:, None, None] ** 2 * multipliers
     size = problem.n_nodes * problem.n
-    return (_dense_minimum if size <= _DENSE_UP_TO else _lanczos_minimum)(problem, multipliers, scales)
-
-
-def _dense_minimum(problem: SyncProblem, multipliers: np.ndarray, scales: np.ndarray) -> float:
-    rows = np.repeat(scales, problem.n)
-    matrix = -problem.connection * rows * rows[:, None]
-    blocks = matrix.reshape(problem.n_nodes, problem.n, problem.n_nodes, problem.n)
-    node = np.arange(problem.n_nodes)
-    blocks[node, :, node, :] += multipliers
-    return float(eigvalsh(matrix, subset_by_index=[0, 0], overwrite_a=True)[0])
-
-
-def _lanczos_minimum(problem: SyncProblem, multipliers: np.ndarray, scales: np.ndarray) -> float:
-    """The same by Lanczos on s I - S Q S: near s a relative tolerance is an absolute one.
-
-    A start of fixed seed keeps the answer reproducible; eigenvalue 0 has multiplicity n at an optimum, which does no
-    harm to the extreme value.
-    """
-    size = problem.n_nodes * problem.n
+    if size <= _DENSE_UP_TO:
+        rows = np.repeat(scales, problem.n)
+        matrix = -problem.connection * rows * rows[:, None]
+        blocks = matrix.reshape(problem.n_nodes, problem.n, problem.n_nodes, problem.n)
+        node = np.arange(problem.n_nodes)
+        blocks[node, :, node, :] += multipliers
+        return float(eigvalsh(matrix, subset_by_index=[0, 0], overwrite_a=True)[0])
+    # Lanczos on s I - S Q S: near s a relative tolerance is an absolute one. A start of fixed seed keeps the answer
+    # reproducible; eigenvalue 0 has multiplicity n at an optimum, which does no harm to the extreme value.
     shift, apply = shifted_certificate(problem, multipliers, scales)
     operator = LinearOperator((size, size), matvec=lambda x: apply(x.reshape(-1, 1)).ravel(), dtype=float)
     start = np.random.default_rng(0).standard_normal(size)

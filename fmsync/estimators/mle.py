@@ -45,10 +45,9 @@ def mle(
     if isinstance(tolerance, str):
         checks.one_of("tolerance", tolerance, ("statistical",))
     goal = partial(_tenth_of_noise, problem) if isinstance(tolerance, str) else tolerance
-    start = starting_point(problem, init, rng, group)
-    absolute, converged, trace = minimise(
-        Rotations(problem), start, tolerance=goal, max_iterations=max_iterations, callback=callback
-    )
+    model, start = Rotations(problem), starting_point(problem, init, rng, group)
+    found = minimise(model, start, tolerance=goal, max_iterations=max_iterations, callback=callback)
+    absolute, converged, trace = found
     return Estimate.from_absolute(problem, absolute, "mle", group, converged=converged, trace=trace)
 
 

@@ -40,17 +40,7 @@ def mle_geodesic(
     Observed maps off SO(n) are projected to it first. Parameters are those of ``"mle"``, with the gradient of
     U_R and quasi-Newton steps. ``cost`` is U_R, without the ½ of the density :math:`\exp(-U_R/2)`.
     """
-    recorder = Recorder(callback)
-    start = starting_point(problem, init, rng)
-    absolute, cost, norm = _minimise(problem, start, recorder, tolerance, max_iterations)
-    converged, trace = norm <= tolerance, recorder.trace()
-    return Estimate.from_absolute(problem, absolute, "mle-geodesic", cost=cost, converged=converged, trace=trace)
-
-
-def _minimise(
-    problem: SyncProblem, absolute: np.ndarray, recorder: Recorder, tolerance: float, max_iterations: int
-) -> tuple[np.ndarray, float, float]:
-    """Rotations, their cost and the norm of its gradient."""
+    recorder, absolute = Recorder(callback), starting_point(problem, init, rng)
     observed, factor = so.project_unchecked(problem.maps), grounded_laplacian(problem)
 
     def metric(gradient: np.ndarray) -> np.ndarray:  # the inverse of twice the graph Laplacian; node 1 is held
@@ -77,7 +67,8 @@ def _minimise(
             pairs = [*pairs[-_MEMORY + 1 :], (step, change)]
         norm = float(np.linalg.norm(gradient))
         recorder(absolute, cost, norm)
-    return absolute, cost, norm
+    converged, trace = norm <= tolerance, recorder.trace()
+    return Estimate.from_absolute(problem, absolute, "mle-geodesic", cost=cost, converged=converged, trace=trace)
 
 
 def _evaluate(problem: SyncProblem, observed: np.ndarray, absolute: np.ndarray) -> tuple[float, np.ndarray]:

@@ -101,12 +101,10 @@ class RectangularEstimate:
 
         A UserWarning names pairs that are not :meth:`identifiable`.
         """
-        if edges is not None:
-            unknown = np.asarray(edges)[~self.identifiable(edges)].tolist()
-            if unknown:
-                pairs = f"{', '.join(map(str, unknown[:5]))}{' and others' * (len(unknown) > 5)}"
-                message = f"relative: the observed maps do not determine pairs {pairs}; observe them, or take a smaller"
-                warnings.warn(f"{message} universe", UserWarning, stacklevel=2)
+        if edges is not None and (unknown := np.asarray(edges)[~self.identifiable(edges)].tolist()):
+            pairs = f"{', '.join(map(str, unknown[:5]))}{' and others' * (len(unknown) > 5)}"
+            told = f"relative: the observed maps do not determine pairs {pairs}"
+            warnings.warn(f"{told}; observe them, or take a smaller universe", UserWarning, stacklevel=2)
         return self._relative(self.absolute, self.problem.edges if edges is None else edges)
 
     @checks.checked(edges="K 2 < N")
@@ -177,7 +175,7 @@ class RectangularEstimate:
         return [frames[i].T @ frames[j] for i, j in np.asarray(edges)]
 
 
-@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(init=("spectral", "random"), tolerance=checks.not_negative, max_iterations=">= 0")
 def solve_rectangular(
     problem: RectangularSyncProblem,
     universe: int | None = None,
@@ -224,9 +222,8 @@ class Frames:
 
     def __init__(self, problem: RectangularSyncProblem, m: int) -> None:
         self._problem = problem
-        k = problem.padded.shape[-1]
-        self._absent = np.arange(k) >= problem.sizes[:, None]  # (N, k)
-        sizes = problem.sizes
+        k, sizes = problem.padded.shape[-1], problem.sizes
+        self._absent = np.arange(k) >= sizes[:, None]  # (N, k)
         self.dimension = int((m * sizes - sizes * (sizes + 1) // 2).sum())
         self.diameter = float(np.sqrt(sizes.sum()))
         self.magnitude = max(1.0, float(problem.weights @ (k + (problem.padded**2).sum((1, 2)))))
@@ -270,7 +267,6 @@ class Frames:
 
 def _starting_frames(problem: RectangularSyncProblem, m: int, init: str, rng: np.random.Generator) -> np.ndarray:
     """Orthonormal columns (N, m, k), zero past n_i."""
-    checks.one_of("init", init, ("spectral", "random"))
     rows = _eigenvector_rows(problem, m, rng) if init == "spectral" else None
     start = np.zeros((problem.n_nodes, m, int(problem.sizes.max())))
     for node, size in enumerate(problem.sizes):

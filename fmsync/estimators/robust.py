@@ -21,7 +21,7 @@ _SMOOTH = 1e-4  # per unit √n: residuals below it count as squares in the l1 l
 
 
 @estimator("robust")
-@checks.checked(tolerance=checks.not_negative, max_iterations=">= 0")
+@checks.checked(loss=LOSSES, tolerance=checks.not_negative, max_iterations=">= 0")
 def robust(
     problem: SyncProblem,
     *,
@@ -50,7 +50,6 @@ def robust(
     squares, scaled to a mean weight of 1, is below ``tolerance``: at a fixed point it is proportional to the gradient
     of the robust ``cost``. ``edge_weights`` (E,) in [0, 1] are inlier weights, of the mixture probabilities.
     """
-    checks.one_of("loss", loss, LOSSES)
     absolute = starting_point(problem, init, rng, group)
     rule = _l1(problem)
     if loss != "l1":
@@ -70,7 +69,10 @@ def _reweigh(
         squares = squared_residuals(problem, absolute)
         cost, inlier = rule(squares)
         scale = len(inlier) / max(inlier.sum(), 1e-300)
-        weighted = _weighted(problem, problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
+        weighted = copy.copy(problem)  # the same observations, shared and already validated, under other weights
+        for name in ("degrees", "connection", "constant"):
+            weighted.__dict__.pop(name, None)  # cached from the old weights
+        object.__setattr__(weighted, "weights", problem.weights * np.maximum(scale * inlier, _LEAST_WEIGHT))
         norm = float(np.linalg.norm(gradient(weighted, absolute)))
         recorder(absolute, cost, norm)
         if norm <= tolerance or len(recorder) > rounds:
@@ -80,15 +82,6 @@ def _reweigh(
         if absolute is before:
             break  # no step lowers the cost any more: rounding is in the way
     return absolute, cost, np.clip(inlier, 0, 1), norm <= tolerance, recorder.trace()
-
-
-def _weighted(problem: SyncProblem, weights: np.ndarray) -> SyncProblem:
-    """The same observations, shared and already validated, under other weights."""
-    new = copy.copy(problem)
-    for name in ("degrees", "connection", "constant"):
-        new.__dict__.pop(name, None)  # cached from the old weights
-    object.__setattr__(new, "weights", weights)
-    return new
 
 
 def _l1(problem: SyncProblem) -> Rule:

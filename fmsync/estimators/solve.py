@@ -30,7 +30,8 @@ def solve(
     * ``callback``: called as ``callback(iteration, absolute, cost, gradient_norm)`` at the start and after each
       accepted step of an iterative method; direct methods call it once.
     * ``restarts``: number of starts of a method with an ``init`` option: its own and Haar-random ones. The cheapest
-      answer is returned, and its ``n_agreeing`` counts the starts that came to its cost.
+      answer is returned, and its ``n_agreeing`` starts came to its cost up to one part in a million: that all agree
+      suggests a global optimum.
     * ``options`` of the method; an unknown one is refused with the list of known ones.
 
     Warns with a RuntimeWarning when the method stopped before its tolerance was met (``converged`` is then False), and
@@ -46,7 +47,14 @@ def solve(
     if restarts is not None:
         if "init" not in known:
             raise ValueError(f"restarts: {method!r} has no starting point to vary; leave restarts out")
-        return best_of_starts(problem, method, restarts, generator, callback=callback, **options)
+        inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
+        answers = [
+            solve(problem, method, rng=stream, callback=callback, **options, **({} if init is None else {"init": init}))
+            for init, stream in zip(inits, generator.spawn(restarts))
+        ]
+        best = min(answers, key=lambda answer: answer.cost)
+        slack = 1e-6 * max(1.0, abs(best.cost))
+        return replace(best, n_starts=restarts, n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
     with single_threaded_blas():
         estimate = function(problem, rng=generator, callback=callback or (lambda *_: None), **options)
     if not estimate.converged:
@@ -54,31 +62,11 @@ def solve(
         message = f"{method!r} stopped after {estimate.n_iterations} steps before its tolerance was met{left}"
         warnings.warn(message, RuntimeWarning, stacklevel=3)
     worst = int(np.argmax(problem.orthogonality_error))
-    error = problem.orthogonality_error[worst]
-    if estimate.on_group and error > _FAR:
-        message = (
-            f"maps: {checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g}); "
-            "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
-        )
-        warnings.warn(message, UserWarning, stacklevel=3)
+    if estimate.on_group and (error := problem.orthogonality_error[worst]) > _FAR:
+        far = f"{checks.edge_name(problem.edges, worst)} is far from orthogonal (‖CᵀC - I‖/√n = {error:.2g})"
+        todo = "project the maps with fmsync.so.project, or use 'mle-unconstrained'"
+        warnings.warn(f"maps: {far}; {todo}", UserWarning, stacklevel=3)
     return estimate
-
-
-def best_of_starts(
-    problem: SyncProblem, method: str, restarts: int, rng: np.random.Generator, **options: Any
-) -> Estimate:
-    """The cheapest of ``restarts`` answers: one from the method's own start, the others from Haar-random ones.
-
-    Its ``n_agreeing`` starts came to its cost up to one part in a million: that all agree suggests a global optimum.
-    """
-    inits = [options.pop("init", None)] + ["random"] * (restarts - 1)
-    answers = [
-        solve(problem, method, rng=stream, **options, **({} if init is None else {"init": init}))
-        for init, stream in zip(inits, rng.spawn(restarts))
-    ]
-    best = min(answers, key=lambda answer: answer.cost)
-    slack = 1e-6 * max(1.0, abs(best.cost))
-    return replace(best, n_starts=restarts, n_agreeing=sum(answer.cost <= best.cost + slack for answer in answers))
 
 
 @checks.checked()

@@ -11,13 +11,12 @@ from fmsync.problem import SyncProblem
 
 
 @estimator("spanning-tree")
-@checks.checked()
+@checks.checked(group=GROUPS)
 def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO") -> Estimate:
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
 
     ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
     """
-    checks.one_of("group", group, GROUPS)
     heaviest = {frozenset(problem.edges[e].tolist()): e for e in np.argsort(problem.weights, kind="stable")}
     adjacency = sp.coo_array((np.ones(problem.n_edges), problem.edges.T), shape=(problem.n_nodes, problem.n_nodes))
     order, parents = breadth_first_order((adjacency + adjacency.T).tocsr().sorted_indices(), 0)

@@ -16,7 +16,7 @@ _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
 @estimator("spectral")
-@checks.checked(tolerance=checks.not_negative)
+@checks.checked(group=GROUPS, tolerance=checks.not_negative)
 def spectral(
     problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO", tolerance: float = 1e-6
 ) -> Estimate:
@@ -36,33 +36,24 @@ def spectral(
 
 def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, tolerance: float) -> np.ndarray:
     """Members of the group (N, n, n): what ``spectral`` answers, in a gauge of its own."""
-    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
-    scale = np.repeat(problem.degrees**-0.5, n)  # (N n,)
-    frame = _leading_eigenvectors(problem, scale, rng, tolerance).astype(float)  # (N n, n)
-    blocks = so.transpose(frame.reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]  # C_i up to one frame
-    return nearest(common_orientation(blocks) if group == "SO" else blocks, group)
-
-
-def _leading_eigenvectors(
-    problem: SyncProblem, scale: np.ndarray, rng: np.random.Generator, tolerance: float
-) -> np.ndarray:
-    """Leading n eigenvectors of the normalised connection matrix, (N n, n): dense, or by blocks without forming it."""
-    size, n = len(scale), problem.n
+    size, scale = n_nodes * n, np.repeat(problem.degrees**-0.5, n)  # (N n,)
     if size <= max(_BLOCKS_FROM, _DEPTH * n):
-        return eigh(scale[:, None] * problem.connection * scale, subset_by_index=[size - n, size - 1])[1]
-    precision = np.float32 if tolerance >= _SINGLE_FROM else np.float64
-    scale = scale[:, None].astype(precision)
-    maps = problem.maps if problem.is_dense else problem.maps.astype(precision, copy=False)
+        frame = eigh(scale[:, None] * problem.connection * scale, subset_by_index=[size - n, size - 1])[1]  # (N n, n)
+    else:  # by blocks, without forming the matrix
+        precision = np.float32 if tolerance >= _SINGLE_FROM else np.float64
+        rough = scale[:, None].astype(precision)
+        maps = problem.maps if problem.is_dense else problem.maps.astype(precision, copy=False)
 
-    def multiply(x: np.ndarray) -> np.ndarray:  # (N n, n)
-        blocks = (scale * x).reshape(problem.n_nodes, n, n)
-        sums = transposed_sums(problem, blocks, maps).reshape(size, n)
-        return scale * sums.astype(precision, copy=False)
+        def multiply(x: np.ndarray) -> np.ndarray:  # (N n, n)
+            sums = transposed_sums(problem, (rough * x).reshape(n_nodes, n, n), maps).reshape(size, n)
+            return rough * sums.astype(precision, copy=False)
 
-    start, _ = orthonormal_rows(rng.standard_normal((size, n)).astype(precision).T)
-    _, rows = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)
-    return rows.T  # past the recovery threshold there is no gap to converge by: the best there is
+        start, _ = orthonormal_rows(rng.standard_normal((size, n)).astype(precision).T)
+        # past the recovery threshold there is no gap to converge by: the best there is
+        frame = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)[1].T
+    blocks = so.transpose(frame.astype(float).reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]
+    return nearest(common_orientation(blocks) if group == "SO" else blocks, group)  # up to one frame
 
 
 def common_orientation(blocks: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from fmsync.problem import SyncProblem
 _ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
-@checks.checked()
+@checks.checked(group=GROUPS)
 def starting_point(
     problem: SyncProblem, init: str | np.ndarray | Estimate, rng: np.random.Generator, group: str = "SO"
 ) -> np.ndarray:
@@ -20,7 +20,6 @@ def starting_point(
     "spectral", "random" (Haar), given maps, or an earlier estimate: of this problem, or of one that had only the first
     few of its nodes. Nodes that are new to it start at what their known neighbours say.
     """
-    checks.one_of("group", group, GROUPS)
     n_nodes, n = problem.n_nodes, problem.n
     if isinstance(init, str):
         if init == "random":

@@ -140,7 +140,8 @@ def _truncated_cg(model: Model, point: Point, radius: float, target: float) -> t
         curved = model.hessian(point, direction)
         curvature = np.vdot(direction, curved)
         length = slope / curvature if curvature > 0 else np.inf
-        to_boundary = _to_boundary(step, direction, radius)
+        a, b, c = np.vdot(direction, direction), np.vdot(step, direction), np.vdot(step, step) - radius**2
+        to_boundary = float((-b + np.sqrt(max(b * b - a * c, 0.0))) / a)  # where the norm of the step is the radius
         at_boundary = length >= to_boundary
         length = min(length, to_boundary)
         step += length * direction
@@ -157,9 +158,3 @@ def _truncated_cg(model: Model, point: Point, radius: float, target: float) -> t
         direction -= preconditioned
     predicted = -float(np.vdot(step, point.gradient) + np.vdot(step, curved_step) / 2)
     return step, predicted, at_boundary, float(np.linalg.norm(residual))
-
-
-def _to_boundary(step: np.ndarray, direction: np.ndarray, radius: float) -> float:
-    """Positive root of ‖step + length · direction‖ = radius."""
-    a, b, c = np.vdot(direction, direction), np.vdot(step, direction), np.vdot(step, step) - radius**2
-    return float((-b + np.sqrt(max(b * b - a * c, 0.0))) / a)

@@ -14,7 +14,6 @@ from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
 from fmsync.matching.outliers import belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
 from fmsync.matching.samples import SampledShape, sample_shape
-from fmsync.matching.synchronize import SyncedShapes
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.samplers.plane_rotations import rounds, sweep
@@ -28,14 +27,14 @@ _SWEEPS = 30  # from the mode of a unimodal density, in which planes hardly depe
 
 @checks.checked(landmarks=">= 0")
 def add_shape(
-    synced: SyncedShapes,
+    synced: stages.SyncedShapes,
     shape: Shape,
     *,
     neighbours: int | None = None,
     landmarks: Sequence[int] | None = None,
     jobs: int = 1,
     rng: int | np.random.Generator = 0,
-) -> SyncedShapes:
+) -> stages.SyncedShapes:
     """The collection with one shape more, at the end; maps, draws and functions of the others stay as they are.
 
     The shape is matched to all others, or to so many ``neighbours`` by spectrum, as :func:`fmsync.synchronize_shapes`
@@ -72,7 +71,7 @@ def add_shape(
     weights = np.concatenate([inlier_weights(synced.estimate), weights])
     wrong = np.linalg.det([m.c_ij[:n, :n] for m in matches]) * synced.signs[others] * sign < 0
     refined = _refined(synced, shapes[-1], others[trusted], relative[trusted])
-    return SyncedShapes(
+    return stages.SyncedShapes(
         shapes=shapes,
         edges=problem.edges,
         matches=(*synced.matches, *matches),
@@ -127,7 +126,7 @@ def _with_draws(posterior: Posterior, edges: np.ndarray, maps: np.ndarray, rng: 
     )
 
 
-def _refined(synced: SyncedShapes, new: SampledShape, others: np.ndarray, maps: np.ndarray) -> np.ndarray:
+def _refined(synced: stages.SyncedShapes, new: SampledShape, others: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """(M, m) map of the new shape to the functions that the others share, from maps (K, n, n) to it."""
     m = synced.refined.shape[-1]
     with single_threaded_blas():

@@ -9,9 +9,7 @@ from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.viz.explorer import Explorer, State, explorer
 
-# vertices to choose from on each shape, and draws that carry them: a dozen posteriors are less than a megabyte even if
-# no two images agree
-_CHOICE, _DRAWS = 160, 100
+_CHOICE, _DRAWS = 160, 100  # vertices to choose from, and draws that carry them: a dozen posteriors stay below 1 MB
 
 
 def explore(

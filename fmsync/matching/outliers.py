@@ -42,8 +42,6 @@ def differences(shapes: Sequence[SampledShape], edges: np.ndarray, matches: Sequ
 def groups(apart: np.ndarray, limit: float) -> list[list[int]]:
     """Groups of shapes whose mean distances, of (N, N), are at most ``limit``, the largest first.
 
-    Examples
-    --------
     >>> groups(np.abs(np.subtract.outer([0, 1, 9, 2], [0, 1, 9, 2])), 3)
     [[0, 1, 3], [2]]
     """
@@ -53,10 +51,7 @@ def groups(apart: np.ndarray, limit: float) -> list[list[int]]:
 
 
 def belonging(
-    shapes: Sequence[SampledShape],
-    drop: bool,
-    edges: np.ndarray | None = None,
-    matches: Sequence[PairMatch] = (),
+    shapes: Sequence[SampledShape], drop: bool, edges: np.ndarray | None = None, matches: Sequence[PairMatch] = ()
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Shapes (K,) to go on with, and the names of outliers, by spectra or, given ``matches``, by their maps as well.
 

@@ -32,12 +32,7 @@ _README = Path(__file__).with_name("readme.txt")
 
 
 def write_all(
-    synced: SyncedShapes,
-    folder: Path,
-    level: float,
-    calibration: ConformalCalibration,
-    jobs: int = 1,
-    progress: bool = False,
+    synced: SyncedShapes, folder: Path, level: float, calibration: ConformalCalibration, jobs: int, progress: bool
 ) -> None:
     """Write every file into an empty folder; scalars on meshes are those of the maps to the first shape."""
     reference, names = 0, synced.names
@@ -46,7 +41,11 @@ def write_all(
 
     def write_pair(i: int, j: int) -> tuple[Confidence, pd.DataFrame | None]:
         known = synced.confidence(i, j, level)
-        table = _vertex_table(synced, i, j, known, calibration)
+        at_samples = {"region": calibration.radius(known), "expected": calibration.expected(known)}
+        at_samples |= {name: getattr(known, name) for name in ("radius", "spread", "entropy", "two_modes")}
+        values = samples_to_vertices(synced.shapes[i], np.column_stack([*at_samples.values()]).astype(float))
+        table = pd.DataFrame({"image": synced.point_map(i, j)} | dict(zip(at_samples, values.T)))
+        table["two_modes"] = table["two_modes"] > 0.5
         stem = folder / "point_maps" / f"{names[i]}_to_{names[j]}"
         np.save(f"{stem}.npy", table["image"].to_numpy(np.int32))
         table.to_csv(f"{stem}.csv", index_label="vertex", float_format="%.5g")
@@ -147,35 +146,16 @@ def transferred_tables(folder: Path, path: Path, on: str | None) -> dict[str, pd
     return {name: table for j, (name, table) in enumerate(zip(synced.names, tables)) if j != i}
 
 
-def _vertex_table(
-    synced: SyncedShapes, i: int, j: int, known: Confidence, calibration: ConformalCalibration
-) -> pd.DataFrame:
-    """Image on shape j and confidence of every vertex of shape i."""
-    at_samples = {"region": calibration.radius(known), "expected": calibration.expected(known)}
-    at_samples |= {name: getattr(known, name) for name in ("radius", "spread", "entropy")}
-    at_samples["two_modes"] = known.two_modes.astype(float)
-    values = samples_to_vertices(synced.shapes[i], np.column_stack(list(at_samples.values())))
-    everywhere = dict(zip(at_samples, values.T))
-    everywhere["two_modes"] = everywhere["two_modes"] > 0.5
-    return pd.DataFrame({"image": synced.point_map(i, j)} | everywhere)
-
-
 def edge_table(synced: SyncedShapes) -> pd.DataFrame:
     """Consistency of every pair, or of every given map."""
     names = np.array(synced.names)
-    named = {"map": synced.map_names} if synced.map_names else {}
-    return pd.DataFrame(
-        named
-        | {
-            "first": names[synced.edges[:, 0]],
-            "second": names[synced.edges[:, 1]],
-            "distortion": [m.distortion for m in synced.matches],
-            "orientation": [m.orientation for m in synced.matches],
-            "residual": np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2)),
-            "inlier_weight": inlier_weights(synced.estimate),
-            "sign_disagrees": np.isin(np.arange(len(synced.edges)), synced.violating),
-        }
-    )
+    columns: dict[str, Any] = {"map": synced.map_names} if synced.map_names else {}
+    columns |= {"first": names[synced.edges[:, 0]], "second": names[synced.edges[:, 1]]}
+    columns |= {name: [getattr(m, name) for m in synced.matches] for name in ("distortion", "orientation")}
+    columns["residual"] = np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2))
+    columns["inlier_weight"] = inlier_weights(synced.estimate)
+    columns["sign_disagrees"] = np.isin(np.arange(len(synced.edges)), synced.violating)
+    return pd.DataFrame(columns)
 
 
 def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:

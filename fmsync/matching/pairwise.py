@@ -58,10 +58,11 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
     with single_threaded_blas():
         starts = _turned_signs(first.basis, second.basis, min(_SIGNS, few))
         starts = survivors(_SURVIVORS[0], *zoomout(first, second, starts, few, 2, _SAMPLES[0]))
-        turned, fitted = (
-            zoomout(first, second, maps, rough, 2, _SAMPLES[1])
-            for maps in (starts, _fitted(first, second, rough)[None])
-        )
+        # the fit sees coefficients only, so an identity stands for the eigenfunctions
+        a, b = (Basis(s.basis.eigenvalues[:rough], np.eye(rough), np.ones(rough)) for s in (first, second))
+        there, here = first.coefficients[:rough], second.coefficients[:rough]
+        fit = functional_map_from_descriptors(a, b, there, here, commutativity=1e-2)[None]
+        turned, fitted = (zoomout(first, second, maps, rough, 2, _SAMPLES[1]) for maps in (starts, fit))
         maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(turned, fitted)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
         distortion, orientation, missed = map_scores(first, second, maps, images)
@@ -131,9 +132,3 @@ def _turned_signs(first: Basis, second: Basis, k: int) -> np.ndarray:
             turns.append(turn)
     signs = np.array([[1, *s] for s in itertools.product([1.0, -1.0], repeat=k - 1)])
     return (np.array(turns)[:, None] * signs[:, None]).reshape(-1, k, k)
-
-
-def _fitted(first: SampledShape, second: SampledShape, n: int) -> np.ndarray:
-    # the fit sees coefficients only, so an identity stands for the eigenfunctions
-    a, b = (Basis(s.basis.eigenvalues[:n], np.eye(n), np.ones(n)) for s in (first, second))
-    return functional_map_from_descriptors(a, b, first.coefficients[:n], second.coefficients[:n], commutativity=1e-2)

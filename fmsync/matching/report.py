@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from fmsync.colours import colours_from_coordinates
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.confidence import Confidence, draw_images
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags
 from fmsync.matching.samples import SampledShape, decimated
 from fmsync.matching.synchronize import SyncedShapes
+from fmsync.shape import colours_from_coordinates
 from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
@@ -41,7 +41,7 @@ def report(
     return _PAGE.read_text(encoding="utf-8").format(
         count=len(synced.shapes),
         flags=_list(quality_flags(synced), "flags"),
-        summary=_list(_summary(synced, known, radii, edges, calibration, level)),
+        summary=_list(_summary(synced, known, radii, edges, calibration.fitted_on, level)),
         level=level,
         top=top,
         ramp=ramp,
@@ -129,12 +129,7 @@ def _list(lines: list[str], kind: str = "") -> str:
 
 
 def _summary(
-    synced: SyncedShapes,
-    known: Pairs,
-    radii: Radii,
-    edges: pd.DataFrame,
-    calibration: ConformalCalibration,
-    level: float,
+    synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, fitted_on: str, level: float
 ) -> list[str]:
     every = np.concatenate(list(radii.values()))
     double = float(np.mean([k.two_modes.mean() for k in known.values()]))
@@ -146,7 +141,7 @@ def _summary(
         f"{len(synced.shapes)} shapes were matched {how}.",
         f"Half of all vertices have a {level:.0%} region of radius below {np.median(every):.3f}, nine in ten below "
         f"{np.quantile(every, 0.9):.3f} (a whole shape has area 1).",
-        f"How large a region must be was learnt from: {calibration.fitted_on}. Shapes of another kind may need their "
+        f"How large a region must be was learnt from: {fitted_on}. Shapes of another kind may need their "
         "own calibration.",
         f"{double:.1%} of the vertices have two candidate places, usually the left and the right of a symmetric part.",
         f"{len(dropped) or 'No'} maps were given up because the others contradict them{named}.",

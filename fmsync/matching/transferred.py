@@ -28,7 +28,7 @@ class Transferred:
     labels: np.ndarray | None
 
 
-@checks.checked(i=">= 0", values=checks.plain)
+@checks.checked(i="< N", values=checks.plain)
 def transfer(
     synced: SyncedShapes, i: int, values: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[Transferred]:
@@ -45,7 +45,6 @@ def transfer(
     >>> front.labels, front.mean.shape, bool(np.allclose(front.mean.sum(axis=1), 1))
     (array([False,  True]), (1000, 2), True)
     """
-    checks.indices("i", [i], len(synced.shapes), "shapes")
     first, given = synced.shapes[i], np.asarray(values)
     if given.dtype.kind not in "fiubUS" or given.ndim == 0:
         raise ValueError(f"values: numbers or words, one for each vertex, not {given.dtype} of shape {given.shape}")
@@ -75,7 +74,7 @@ def transfer(
     return found
 
 
-@checks.checked(i=">= 0", vertices=checks.plain)
+@checks.checked(i="< N", vertices=checks.plain)
 def transfer_landmarks(
     synced: SyncedShapes, i: int, vertices: ArrayLike, calibration: ConformalCalibration | None = None
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -83,7 +82,6 @@ def transfer_landmarks(
 
     Radii are geodesic, in square roots of the area.
     """
-    checks.indices("i", [i], len(synced.shapes), "shapes")
     marks = checks.indices("vertices", vertices, synced.shapes[i].shape.n_vertices)
     found = []
     for j in range(len(synced.shapes)):

@@ -15,8 +15,7 @@ from fmsync.problem import LangevinPrior, SyncProblem, check_prior
 from fmsync.registry import Registry
 from fmsync.so import transpose
 
-#: Sampler classes by name.
-SAMPLERS: "Registry[Callable[..., Sampler]]" = Registry("sampler", given=("target", "start", "rng"))
+SAMPLERS: "Registry[Callable[..., Sampler]]" = Registry("sampler", given=("target", "start", "rng"))  #: by name
 
 _CHOICES = {
     "likelihood": ("langevin", "projected-gaussian", "mixture", "by-edge", "by-frequency"),
@@ -78,10 +77,8 @@ class Target:
         p, prior = self.problem, self.prior
         held, nodes = (0, p.n_nodes) if prior is None else (int((prior.kappa > 0).sum()), p.n_nodes + 1)
         if p.n_edges + held < nodes:
-            raise ValueError(
-                f"{name}: a tree without repeated edges says nothing about its noise, every observation can be met "
-                f"exactly; give {name} a value, or add observations"
-            )
+            why = "a tree without repeated edges says nothing about its noise, every observation can be met exactly"
+            raise ValueError(f"{name}: {why}; give {name} a value, or add observations")
         checks.rotations("maps (node = edge)", p.maps)
         trace = (p.constant - energy(p, solve(p, "spectral", rng=rng).absolute)) / 2
         cosine = trace / (p.n * p.weights.sum())

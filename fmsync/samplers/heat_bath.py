@@ -103,12 +103,7 @@ class HeatBath(Sampler):
             self._refresh()
 
     def log_likelihood(self) -> np.ndarray:
-        r"""(K,) the part of the log-likelihood that :meth:`set_temperature` multiplies, up to a constant.
-
-        All of it for Langevin noise, with outliers or without; for projected noise the coupling of maps and
-        observations alone, :math:`\sum\operatorname{tr}(M_{ij}^\top C_i^\top C_j)/\sigma^2`; the other terms keep P and
-        σ² proper.
-        """
+        """(K,) what :meth:`set_temperature` multiplies, up to a constant; of projected noise only the coupling."""
         if self._latent is None:
             return self._concentration.log_likelihood(self._traces)
         return self._latent.log_likelihood(self._x)
@@ -132,16 +127,11 @@ class HeatBath(Sampler):
         if n_chains >= self.threads.size:
             self.threads.parallel_for(lambda first, last: sweep(slice(first, last), order), n_chains)
             return
-        for first, last in zip(self._colours, self._colours[1:]):
-            nodes = order[first:last]
+        for nodes in np.split(order, self._colours[1:-1]):
             if len(nodes) < _LEAST_COLOUR * self.threads.size:
                 sweep(slice(None), nodes)
-            else:
-
-                def some(a: int, b: int, nodes: np.ndarray = nodes) -> None:
-                    sweep(slice(None), nodes[a:b])
-
-                self.threads.parallel_for(some, len(nodes))
+            else:  # the loop waits for all parts
+                self.threads.parallel_for(lambda a, b: sweep(slice(None), nodes[a:b]), len(nodes))  # noqa: B023
 
     def _refresh(self) -> None:
         """Take off the rounding that maps and accumulated energies gathered."""

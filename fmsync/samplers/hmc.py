@@ -2,11 +2,7 @@
 
 import numpy as np
 
-from fmsync import checks, so
-from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
-from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
-from fmsync.energy import gradient_unchecked as energy_gradient
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
+from fmsync import checks, energy, so
 from fmsync.samplers import langevin_kernels
 from fmsync.samplers.base import Sampler, Target, sampler
 from fmsync.samplers.concentration import Concentration
@@ -44,7 +40,7 @@ class HMC(Sampler):
     _potential: np.ndarray
     _gradient: np.ndarray
 
-    @checks.checked(start="K N n n", step=checks.positive, length=checks.positive)
+    @checks.checked(start="K N n n", integrator=("cayley", "exp"), step=checks.positive, length=checks.positive)
     def __init__(
         self,
         target: Target,
@@ -55,7 +51,6 @@ class HMC(Sampler):
         step: float | None = None,
         length: float | None = None,
     ):
-        checks.one_of("integrator", integrator, ("cayley", "exp"))
         target.only("hmc", likelihood="langevin")
         if length is not None and isinstance(self, MALA):
             raise ValueError("length: 'mala' has no such option, its trajectories have one step")
@@ -114,7 +109,10 @@ class HMC(Sampler):
         self._potential = np.where(taken, potential, self._potential)
         self._age += 1
         if warmup:
-            self._adapt(chance)
+            if self._adapting:
+                self._step = self._averaging.update(chance)
+            self._weight = 0.95 * self._weight + 1
+            self._squares = self._squares + ((self._gradient**2).mean((1, 2, 3)) - self._squares) / self._weight
         else:
             self._accepted, self._tried = self._accepted + float(chance.mean()), self._tried + 1
         if self._concentration.inferred and not (warmup and self._age < _BURN_IN):
@@ -140,12 +138,12 @@ class HMC(Sampler):
     def evaluate(self, c: np.ndarray) -> Evaluated:
         """Energy of the observations (K,), potential (K,) with temperature and prior, its gradient (K, N, n, n)."""
         if self._euclidean:
-            sums = neighbour_sums(self._problem, c)
+            sums = energy.neighbour_sums_unchecked(self._problem, c)
             observed = self._problem.constant - np.einsum("kiab,kiab->k", c, sums)
-            gradient = energy_gradient(self._problem, c, sums)
+            gradient = energy.gradient_unchecked(self._problem, c, sums)
         else:
-            observed = geodesic_energy(self._problem, c)
-            gradient = geodesic_gradient(self._problem, c)
+            observed = energy.geodesic_energy_unchecked(self._problem, c)
+            gradient = energy.geodesic_gradient_unchecked(self._problem, c)
         half = self.inverse_temperature * self.kappa / 2
         potential, gradient = half * observed, half[:, None, None, None] * gradient
         if len(self._field):
@@ -183,13 +181,6 @@ class HMC(Sampler):
         adapted = np.pi / 2 / np.sqrt(np.maximum(self._squares * 2 * n / (n - 1), 1e-12))
         length = adapted if self._length is None else self._length
         return int(np.clip(np.ceil(fraction * np.median(length / self._step)), 1, _MOST_STEPS))
-
-    def _adapt(self, chance: np.ndarray) -> None:
-        if self._adapting:
-            self._step = self._averaging.update(chance)
-        seen = (self._gradient**2).mean((1, 2, 3))
-        self._weight = 0.95 * self._weight + 1
-        self._squares = self._squares + (seen - self._squares) / self._weight
 
 
 @sampler("mala")

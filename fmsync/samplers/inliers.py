@@ -91,7 +91,7 @@ class Inliers:
             exponent = powers[:, None] * np.stack([self.kappa, self._concentration.log_normaliser()], axis=1)
             jump(x, p.maps, p.incidence, self._field, exponent, logit(self._share), states)
         seen = traces(p, x)
-        chances = self._chances(self._gains(seen) * powers[:, None])
+        chances = expit(logit(self._share)[:, None] + self._gains(seen) * powers[:, None])
         for k in range(len(x) if infer else 0):
             fill(states[k], self._numbers)
             first, *numbers = self._numbers.flat[: p.n_edges + 1]
@@ -106,14 +106,11 @@ class Inliers:
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""
-        return self._chances(self._gains(traces(self._problem, x)))
+        return expit(logit(self._share)[:, None] + self._gains(traces(self._problem, x)))
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) of the inliers at transposed maps x (K, N, n, n); that of an outlier is 0."""
         return (self._inlier * self._gains(traces(self._problem, x))).sum(axis=1)
-
-    def _chances(self, gains: np.ndarray) -> np.ndarray:
-        return expit(logit(self._share)[:, None] + gains)
 
     def _gains(self, traces: np.ndarray) -> np.ndarray:
         """(K, E) log-likelihoods as inliers, those as outliers being 0."""

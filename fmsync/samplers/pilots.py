@@ -51,8 +51,8 @@ def unvisited_mode(
     if target.likelihood != "langevin":
         cosine = 1 - at_home / (2 * p.n * p.weights.sum())
         kappa = matched_kappa(p.n, min(max(cosine, 1e-3), 1 - 1e-3))
-    settled = Target(p, target.prior, kappa, energy=target.energy)
-    pilots: Sampler = (HeatBath if target.energy == "euclidean" else HMC)(settled, start, rng)
+    fixed = Target(p, target.prior, kappa, energy=target.energy)
+    pilots: Sampler = (HeatBath if target.energy == "euclidean" else HMC)(fixed, start, rng)
     states, potentials = [], []
     for k in range(n_steps):
         pilots.step(warmup=4 * k < 2 * n_steps)
@@ -61,8 +61,7 @@ def unvisited_mode(
             potentials.append(pilots.energy().copy())
     quarter = n_steps // 4
     late = np.array(states[-2 * quarter :])  # (S, pilots, N, n, n)
-    edges = _some_edges(p)
-    known, seen = _halves(_relative(few, edges)), _relative(late, edges)
+    known, seen = _halves(_relative(p, few)), _relative(p, late)
     third, last = np.split(np.array(potentials[-2 * quarter :]), 2)
     moving = np.abs(third.mean(0) - last.mean(0)) > 2 * np.hypot(third.std(0), last.std(0))
     lost = kappa / 2 * (last.mean(0) - at_home) > _NEGLIGIBLE
@@ -70,11 +69,9 @@ def unvisited_mode(
     found = elsewhere & ~moving & ~lost
     if not found.any():
         return ""
-    return (
-        f"{found.sum()} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode, at a mean "
-        f"energy of {last.mean(0)[found].min():.4g} where these chains have {at_home:.4g}: the draws say "
-        "nothing about it"
-    )
+    settled = f"{found.sum()} of {N_PILOTS} short pilot chains from dispersed starts settled in another mode"
+    lower = f"at a mean energy of {last.mean(0)[found].min():.4g} where these chains have {at_home:.4g}"
+    return f"{settled}, {lower}: the draws say nothing about it"
 
 
 def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:
@@ -84,22 +81,16 @@ def split_chains(problem: SyncProblem, draws: np.ndarray) -> str:
     """
     if draws.shape[1] < _FEWEST_DRAWS:
         return ""
-    maps = _relative(_thinned(draws, _DRAWS_A_CHAIN), _some_edges(problem))[:, None]  # (K, 1, T, D)
+    maps = _relative(problem, _thinned(draws, _DRAWS_A_CHAIN))[:, None]  # (K, 1, T, D)
     apart = [k for k in range(1, len(maps)) if _apart(_halves(maps[k]), _halves(maps[0]))]
-    if not apart:
-        return ""
-    return (
-        f"{len(apart)} of {len(maps)} chains stay in another mode than the first: the draws weigh modes by their starts"
-    )
+    what = f"{len(apart)} of {len(maps)} chains stay in another mode than the first"
+    return f"{what}: the draws weigh modes by their starts" if apart else ""
 
 
-def _some_edges(problem: SyncProblem) -> np.ndarray:
-    return problem.edges[np.linspace(0, problem.n_edges - 1, min(_MOST_EDGES, problem.n_edges)).astype(int)]
-
-
-def _relative(c: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """(..., E n²) relative maps of rotations (..., N, n, n)."""
-    maps = relative_maps(c, edges)
+def _relative(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
+    """(..., E n²) relative maps of rotations (..., N, n, n) along some of the edges."""
+    some = np.linspace(0, problem.n_edges - 1, min(_MOST_EDGES, problem.n_edges)).astype(int)
+    maps = relative_maps(c, problem.edges[some])
     return maps.reshape(*maps.shape[:-3], -1)
 
 

@@ -77,8 +77,11 @@ class Posterior(Draws):
         centres = self.relative_mean(edges, projected=False)
         count = self.n_chains * self.n_draws
         k = np.count_nonzero(np.arange(1, count + 1) / count <= level)
-        radii = [np.partition(self._distances(edge, centre), k)[k] for edge, centre in zip(edges, centres)]
-        return centres, np.array(radii)
+        radii = np.empty(len(edges))
+        for e, centre in enumerate(centres):
+            draws = self.relative(edges[e : e + 1]).reshape(-1, *centre.shape)
+            radii[e] = np.partition(count / max(count - 1, 1) * np.linalg.norm(draws - centre, axis=(1, 2)), k)[k]
+        return centres, radii
 
     def summary(self) -> Summary:
         """Mean, spread, R-hat and bulk and tail ESS of gauge-invariant scalars (:func:`fmsync.diagnostics.summary`)."""
@@ -93,11 +96,6 @@ class Posterior(Draws):
     def from_arviz(cls, data: Mapping[str, Any], problem: SyncProblem) -> "Posterior":
         """What :meth:`to_arviz` gave away, less all that has a default here (:func:`fmsync.adapters.from_arviz`)."""
         return cls(**vars(adapters.from_arviz(data, problem)))
-
-    def _distances(self, edge: np.ndarray, centre: np.ndarray) -> np.ndarray:
-        """(chains * draws,) distance of every draw of one relative map to the mean of the others."""
-        draws = self.relative(edge[None]).reshape(-1, *centre.shape)
-        return len(draws) / max(len(draws) - 1, 1) * np.linalg.norm(draws - centre, axis=(1, 2))
 
     def _edges(self, edges: np.ndarray | None) -> np.ndarray:
         return self.problem.edges if edges is None else np.asarray(edges)

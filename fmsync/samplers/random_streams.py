@@ -52,12 +52,9 @@ def _exp(x: float) -> float:
     t = max(x, -50.0) * (1 / 64)
     y = 1 + t * (1 / 5) * (1 + t * (1 / 6) * (1 + t * (1 / 7) * (1 + t * (1 / 8) * (1 + t * (1 / 9)))))
     y = 1 + t * (1 + t * (1 / 2) * (1 + t * (1 / 3) * (1 + t * (1 / 4) * y)))
-    y *= y
-    y *= y
-    y *= y
-    y *= y
-    y *= y
-    return y * y
+    y = (y * y) * (y * y)
+    y = (y * y) * (y * y)
+    return (y * y) * (y * y)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -2,12 +2,7 @@ r"""The paper's sampler: Riemannian Langevin dynamics without a Metropolis test.
 
 import numpy as np
 
-from fmsync import checks, so
-from fmsync.energy import geodesic_energy_unchecked as geodesic_energy
-from fmsync.energy import geodesic_gradient_unchecked as geodesic_gradient
-from fmsync.energy import gram_blocks
-from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
-from fmsync.energy import unconstrained_energy_unchecked as unconstrained_energy
+from fmsync import checks, energy, so
 from fmsync.problem import SyncProblem, anchored
 from fmsync.problem import fix_gauge_unchecked as fix_gauge
 from fmsync.samplers import langevin_kernels
@@ -37,7 +32,7 @@ class RLFM(Sampler):
     * ``drift``: ``"descent"``, or ``"printed"`` for the sign that the paper prints.
     """
 
-    @checks.checked(start="K N n n", step=checks.positive)
+    @checks.checked(start="K N n n", retraction=("exp", "qf"), step=checks.positive, drift=("descent", "printed"))
     def __init__(
         self,
         target: Target,
@@ -49,8 +44,6 @@ class RLFM(Sampler):
         step: float | None = None,
         drift: str = "descent",
     ):
-        checks.one_of("retraction", retraction, ("exp", "qf"))
-        checks.one_of("drift", drift, ("descent", "printed"))
         target.only("rlfm", likelihood="langevin")
         problem, kappa = target.problem, target.fixed_kappa()
         self._euclidean, self._exp, self._constrained = target.energy == "euclidean", retraction == "exp", constrained
@@ -75,7 +68,7 @@ class RLFM(Sampler):
         self._h = default if step is None else step
         self._drift, self._noise = -self._h if self._climbs else self._h, np.sqrt(2 * self._h / self._beta)
         if not constrained:
-            self._gram = gram_blocks(problem)
+            self._gram = energy.gram_blocks(problem)
         self.kappa = np.full(len(self._c), kappa)
         self.ceiling = self._ceiling()
         self.advice = f"the step h = {self._h:.3g} is too long, try step={min(default, self._h / 4):.2g}"
@@ -94,17 +87,21 @@ class RLFM(Sampler):
 
     def energy(self) -> np.ndarray:
         if not self._constrained:
-            return unconstrained_energy(self._problem, self._c)
+            return energy.unconstrained_energy_unchecked(self._problem, self._c)
         if not self._euclidean:
-            return geodesic_energy(self._problem, self._c)
+            return energy.geodesic_energy_unchecked(self._problem, self._c)
         return self._problem.constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
 
     def step(self, warmup: bool) -> None:
-        """Advance all chains by one step; nothing is adapted."""
         fixed = None if self._held is None else self._c[:, self._held].copy()
         if self._constrained:
-            omega = self._tangents()
-            flat = self._c.reshape(omega.shape)  # a view: the state is C-contiguous
+            n = self._c.shape[-1]
+            flat = self._c.reshape(-1, n, n)  # a view: the state is C-contiguous
+            noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
+            pull, drift = (self._neighbour_sums().reshape(flat.shape), self._drift) if self._euclidean else (flat, 0.0)
+            omega = langevin_kernels.langevin_tangents(flat, pull, noise, drift, self._noise)  # of V = C Ω
+            if not self._euclidean:
+                omega -= self._drift * energy.geodesic_gradient_unchecked(self._problem, self._c).reshape(flat.shape)
             if self._exp:
                 langevin_kernels.rotate(flat, omega)
             else:
@@ -120,21 +117,9 @@ class RLFM(Sampler):
         if self._constrained and self._age % _REPAIR_EVERY == 0:
             self._c = langevin_kernels.reorthonormalised(self._c)
 
-    def _tangents(self) -> np.ndarray:
-        """Body-frame Ω (K N, n, n) of V = C Ω."""
-        n = self._c.shape[-1]
-        flat = self._c.reshape(-1, n, n)
-        noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
-        if self._euclidean:
-            sums = self._neighbour_sums().reshape(flat.shape)
-            return langevin_kernels.langevin_tangents(flat, sums, noise, self._drift, self._noise)
-        omega = langevin_kernels.langevin_tangents(flat, flat, noise, 0.0, self._noise)
-        omega -= self._drift * geodesic_gradient(self._problem, self._c).reshape(flat.shape)
-        return omega
-
     def _neighbour_sums(self) -> np.ndarray:
         if self._sums is None:
-            self._sums = neighbour_sums(self._problem, self._c)
+            self._sums = energy.neighbour_sums_unchecked(self._problem, self._c)
         return self._sums
 
     def _ceiling(self) -> np.ndarray:

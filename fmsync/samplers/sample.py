@@ -88,35 +88,29 @@ def sample(
     rng = np.random.default_rng(rng)
     with single_threaded_blas():
         chains = kind(target, starts(problem, init, n_chains, rng), rng, **options)
-        absolute, energies, kappa_draws, weights, kappas = run_chains(chains, n_draws, warmup, thin, callback)
-        said = split_chains(problem, absolute)
+        drawn = run_chains(chains, n_draws, warmup, thin, callback)
+        absolute, energies = drawn["absolute"], drawn["energy"]
+        said, stopped = split_chains(problem, absolute), energies.shape[1] < n_draws
         n_steps = pilot_steps(n_chains, warmup + thin * n_draws)
         piloted = method != "tempered" and likelihood not in ("mixture", "by-edge", "by-frequency")
         looks = n_steps and piloted and chains.settings.get("constrained", True)
-        if looks and not said and energies.shape[1] == n_draws:
-            said = unvisited_mode(target, absolute, energies, float(kappa_draws.mean()), n_steps, rng.spawn(1)[0])
+        if looks and not said and not stopped:
+            said = unvisited_mode(target, absolute, energies, float(drawn["kappa"].mean()), n_steps, rng.spawn(1)[0])
         if said:
             todo = "use method='tempered', which weighs the modes"
             warnings.warn(f"{said}; {todo}", ConvergenceWarning, stacklevel=3)
     settings = {"warmup": warmup, "thin": thin, **chains.settings}
-    stopped = energies.shape[1] < n_draws
-    post = Posterior(problem, method, absolute, energies, kappa_draws, stopped, settings, weights, kappas, said)
+    post = Posterior(problem, method, interrupted=stopped, settings=settings, modes=said, **drawn)
     checks.unchecked(warn_unless_converged)(post)
     return post
 
 
 def run_chains(
     chains: Sampler, n_draws: int, warmup: int, thin: int, callback: Callback | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Rotations (K, T, N, n, n), energies and concentrations (K, T); T < n_draws after Ctrl-C.
-
-    Also the weights (E,) and the concentrations (K, T, E) of the observations, or (K, T, n) of functions, if any.
-    """
-    n_chains = len(chains.state)
-    absolute = np.empty((n_chains, n_draws, *chains.state.shape[1:]))
-    energies, kappa_draws = np.empty((n_chains, n_draws)), np.empty((n_chains, n_draws))
-    done, weights, own = 0, None, chains.kappas
-    kappas = None if own is None else np.empty((n_chains, n_draws, own.shape[1]))
+) -> dict[str, np.ndarray]:
+    """What :class:`Posterior` keeps of the draws, by its names; of fewer than ``n_draws`` after Ctrl-C."""
+    kept: dict[str, np.ndarray] = {}
+    done, weights = 0, None
     with tqdm(total=warmup + thin * n_draws, disable=None, unit="step", leave=False) as bar:
         try:
             for k in range(warmup):
@@ -128,30 +122,31 @@ def run_chains(
                 for _ in range(thin):
                     chains.step(warmup=False)
                     bar.update()
-                energies[:, done] = checked_energy(chains)
-                kappa_draws[:, done] = chains.kappa
-                absolute[:, done] = chains.draw()
+                now = {"energy": checked_energy(chains), "kappa": chains.kappa, "absolute": chains.draw()}
+                if (own := chains.kappas) is not None:
+                    now["kappas"] = own
+                for name, values in now.items():
+                    if name not in kept:
+                        kept[name] = np.empty((len(values), n_draws, *values.shape[1:]))
+                    kept[name][:, done] = values
                 if (new := chains.edge_weights) is not None:
                     mean = new.mean(axis=0)
                     weights = mean if weights is None else weights + (mean - weights) / (done + 1)
-                if kappas is not None:
-                    kappas[:, done] = chains.kappas
                 if callback is not None:
-                    callback(done, chains.state, energies[:, done])
+                    callback(done, chains.state, kept["energy"][:, done])
                 done += 1
         except KeyboardInterrupt:
             if done == 0:
                 raise
-    kappas = None if kappas is None else kappas[:, :done]
-    return absolute[:, :done], energies[:, :done], kappa_draws[:, :done], weights, kappas
+    drawn = {name: values[:, :done] for name, values in kept.items()}
+    return drawn if weights is None else drawn | {"edge_weights": weights}
 
 
 def checked_energy(chains: Sampler) -> np.ndarray:
     """Energies (K,) of the chains; a RuntimeError when one of them is where no sound chain goes."""
     with np.errstate(over="ignore", invalid="ignore"):  # a chain that blew up is told of below
         energy = chains.energy()
-    bad = np.flatnonzero(~(energy <= chains.ceiling))
-    if bad.size:
+    if (bad := np.flatnonzero(~(energy <= chains.ceiling))).size:
         raise RuntimeError(f"chain {bad[0]} diverged: energy {energy[bad[0]]:.4g}; {chains.advice}")
     return energy
 

@@ -25,7 +25,7 @@ class Tempered(Sampler):
     ``settings["swap_acceptance"]`` falls below 0.2. ``hottest``, in (0, 1), is the inverse temperature of the hottest.
     """
 
-    @checks.checked(start="K N n n", n_temperatures=">= 2", hottest=checks.probability)
+    @checks.checked(start="K N n n", base=tuple(_BASES), n_temperatures=">= 2", hottest=checks.probability)
     def __init__(
         self,
         target: Target,
@@ -36,7 +36,6 @@ class Tempered(Sampler):
         n_temperatures: int = 8,
         hottest: float = 1e-3,
     ):
-        checks.one_of("base", base, _BASES)
         self._rng, self._n_chains = rng, len(start)
         self._ladder = np.linspace(0, 1, n_temperatures)  # (R,) inverse temperatures, coldest last
         self._ladder[0] = hottest
@@ -46,7 +45,7 @@ class Tempered(Sampler):
         self._rejected, self._tried = np.zeros(n_temperatures - 1), np.zeros(n_temperatures - 1)
         self._age, self._in_warmup, self._round_trips = 0, True, np.zeros(len(start), dtype=int)
         self._was_hottest = np.zeros(self._place.shape, dtype=bool)
-        self._assign()
+        self._replicas.set_temperature(self._ladder[self._place].ravel())
         self._choices: dict[str, object] = {"base": base, "energy": target.energy, "likelihood": target.likelihood}
 
     @property
@@ -91,7 +90,7 @@ class Tempered(Sampler):
         self._age += 1
         if warmup and self._age % _SPACE_EVERY == 0:
             self._respace()
-        self._assign()
+        self._replicas.set_temperature(self._ladder[self._place].ravel())
 
     def _swap(self) -> None:
         likelihood = self._replicas.log_likelihood().reshape(self._place.shape)
@@ -115,9 +114,6 @@ class Tempered(Sampler):
         barrier = np.concatenate([[0], np.cumsum(np.maximum(rejection, 1e-3))])
         self._ladder = np.interp(np.linspace(0, barrier[-1], len(self._ladder)), barrier, self._ladder)
         self._rejected[:], self._tried[:] = 0, 0
-
-    def _assign(self) -> None:
-        self._replicas.set_temperature(self._ladder[self._place].ravel())
 
     def _cold(self) -> np.ndarray:
         n_places = len(self._ladder)

@@ -7,7 +7,7 @@ from fmsync.extras import require_all
 
 require_all(__name__, "viz", "PIL", "matplotlib", "pyvista", "trame_vtk")
 
-from fmsync.colours import colours_from_coordinates  # noqa: E402
+from fmsync.shape import colours_from_coordinates  # noqa: E402
 from fmsync.viz.explorer import Explorer, State, explorer, glow  # noqa: E402
 from fmsync.viz.figures import PALETTE, Picture, heatmaps, picture, style, subplots  # noqa: E402
 from fmsync.viz.players import Player, player, walk_on_sphere  # noqa: E402

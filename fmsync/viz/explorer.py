@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.shape import Shape
 from fmsync.viz.figures import Shown, image_tag
 from fmsync.viz.scenes import AXES, centred, display_mesh, scene
@@ -34,19 +33,13 @@ Both = Sequence[np.ndarray]  # of the vertices chosen on the first shape, and on
 class State:
     """One answer to where vertices go, at one position of the controls.
 
-    Parameters
-    ----------
-    view
-        What the switch calls it, e.g. ``"posterior"``.
-    images
-        For the S vertices to choose from on the first shape (S, K) vertices of the second: one of a map, K of draws;
-        and the same from the second shape to the first.
-    radius
-        Radii (S,) of the regions about the synchronised images, in the unit of the vertices, both ways; or None.
-    centres
-        Vertices (S,) at the centres of these regions, both ways; with one image it is the centre itself.
-    noise, temperature
-        Positions of the sliders: a variance, and words such as ``"β = 1"``. A view without temperatures has ``""``.
+    * ``view``: what the switch calls it, e.g. ``"posterior"``.
+    * ``images``: for the S vertices to choose from on the first shape (S, K) vertices of the second: one of a map, K of
+      draws; and the same from the second shape to the first.
+    * ``radius``: radii (S,) of the regions about the synchronised images, in the unit of the vertices, both ways.
+    * ``centres``: vertices (S,) at the centres of these regions, both ways; with one image it is the centre itself.
+    * ``noise``, ``temperature``: positions of the sliders, a variance, and words such as ``"β = 1"``; ``""`` for a view
+      without temperatures.
     """
 
     view: str
@@ -89,30 +82,16 @@ def explorer(
     A switch offers the views, sliders the noise and the temperature, as far as the states differ in them. A click, a
     tap or the arrow keys choose a vertex on either shape.
 
-    Parameters
-    ----------
-    shapes
-        Two shapes with faces, in one unit; more than 5,000 vertices are thinned out for display.
-    vertices
-        (S_0,) and (S_1,) vertices to choose from, a few hundred, evenly spread.
-    states
-        What the controls choose among: one for each combination that can be set.
-    alt
-        A sentence or two that say what is shown.
-    truth
-        For every vertex to choose from, where it belongs on the other shape, (S_0,) and (S_1,): marked, if given.
-    level, start
-        What share the regions are to hold; number of the state that is shown first.
-    vertex
-        Number, among the vertices to choose from, of the one chosen first; by default one in front.
+    * ``shapes``: two with faces, in one unit; more than 5,000 vertices are thinned out for display.
+    * ``vertices``: (S_0,) and (S_1,) to choose from, a few hundred, evenly spread.
+    * ``states``: what the controls choose among, one for each combination that can be set.
+    * ``alt``: a sentence or two that say what is shown.
+    * ``truth``: for every vertex to choose from, where it belongs on the other shape, (S_0,) and (S_1,): is marked.
+    * ``level``, ``start``: what share the regions are to hold; number of the state that is shown first.
+    * ``vertex``: number, among the vertices to choose from, of the one chosen first; by default one in front.
 
-    Raises
-    ------
-    ValueError
-        Not two shapes with faces, arrays of other sizes, or more than a megabyte.
+    A ValueError for other shapes, arrays of other sizes, or more than a megabyte.
 
-    Examples
-    --------
     >>> ball = Shape(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]], "a")
     >>> every = np.arange(4)
     >>> explorer([ball, ball], (every, every), [State("map", (every[:, None], every[:, None]))], alt="Twice the same.")
@@ -140,10 +119,11 @@ def explorer(
             if state.radius is not None:
                 centres = state.images[k][:, 0] if state.centres is None else state.centres[k]
                 arrays += [(near[1 - k][centres], "<u2"), (state.radius[k], "<f4")]
+    told = [(s.view, float(s.noise), s.temperature, s.images[0].shape[1], s.radius is not None) for s in states]
     head = {
         "shapes": [{"name": s.name, "points": len(p), "faces": len(f)} for s, (p, f, _) in zip(shapes, drawn)],
         "vertices": [np.asarray(v).tolist() for v in vertices],
-        "states": [_described(s) for s in states],
+        "states": [dict(zip(("view", "noise", "temperature", "images", "region"), state)) for state in told],
         "scale": scale,
         "unit": unit,
         "glow": _GLOW,
@@ -158,43 +138,25 @@ def explorer(
     mark, images = vertices[0][row], states[start].images[0][row]
     titles = [f"{shapes[0].name}: vertex {mark}", f"{shapes[1].name}: {states[start].view}"]
     thin = [Shape(points, faces, s.name) for s, (points, faces, _) in zip(shapes, drawn)]
-    return Explorer(_still(thin, near[0][mark], near[1][images], titles, alt), alt, data)
+    lit = [glow(thin[0], []), glow(thin[1], near[1][images], _GLOW / 2 if len(images) == 1 else _GLOW)]
+    still = scene(thin, lit, titles, points=[[near[0][mark]], []], alt=alt)
+    return Explorer(still.png, alt, data)
 
 
-@checked(images="K < V", width=checks.positive)
+@checks.checked(images="K < V", width=checks.positive)
 def glow(shape: Shape, images: ArrayLike, width: float = _GLOW) -> np.ndarray:
     """Colours (V, 3) that show where the images (K,) of one vertex fall on a shape, e.g. under K draws.
 
     The light of one image falls off as a Gaussian of standard deviation ``width`` in square roots of the area. The
     colour shows the square root of the light, so that places of few images are seen as well.
 
-    Examples
-    --------
     >>> ball = Shape(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
     >>> glow(ball, [2, 2]).argmin(axis=0)[2]  # blue is least where the images are
     np.int64(2)
     """
     points = np.asarray(shape.vertices, dtype=float) / np.sqrt(shape.area)
-    at = checks.indices("images", images, len(points))
-    light = np.exp(-(cdist(points, points[at]) ** 2) / (2 * width**2)).sum(axis=1)
+    light = np.exp(-(cdist(points, points[images]) ** 2) / (2 * width**2)).sum(axis=1)
     return _RAMP(np.sqrt(light / max(light.max(), 1e-12)))[:, :3]
-
-
-def _described(state: State) -> dict[str, object]:
-    return {
-        "view": state.view,
-        "noise": float(state.noise),
-        "temperature": state.temperature,
-        "images": state.images[0].shape[1],
-        "region": state.radius is not None,
-    }
-
-
-def _still(shapes: Sequence[Shape], mark: int, images: np.ndarray, titles: list[str], alt: str) -> bytes:
-    """A state as a picture: the chosen vertex, and the light of its images."""
-    source, target = shapes
-    colours = [glow(source, []), glow(target, images, _GLOW / 2 if len(images) == 1 else _GLOW)]
-    return scene(shapes, colours, titles, points=[[mark], []], alt=alt).png
 
 
 def _check(shapes: Sequence[Shape], vertices: Both, states: Sequence[State], alt: str, truth: Both | None) -> None:

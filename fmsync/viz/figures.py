@@ -5,6 +5,7 @@ import html
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -16,46 +17,21 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from fmsync import checks
-from fmsync.checks import checked
 
 # Okabe & Ito: told apart under every common colour blindness
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 
+Limits = tuple[float, float] | None  # of a colour scale
 _LEAST_TYPE = 10  # points: 9 pixels on a phone, where a figure of the usual width is shown at three fifths
 
-# white paper in both themes of the book: the page puts it on a rounded card; 12 pt stays legible on a phone
-STYLE = {
-    "figure.figsize": (5.2, 3.3),
-    "figure.dpi": 110,
-    "figure.facecolor": "white",
-    "figure.constrained_layout.use": True,
-    "figure.constrained_layout.w_pad": 0.09,  # inches: the layout may be some pixels off, and the white card ends here
-    "figure.constrained_layout.h_pad": 0.06,
-    "savefig.facecolor": "white",
-    "font.size": 12,
-    "axes.titlesize": 12,
-    "axes.labelsize": 12,
-    "legend.fontsize": 11,
-    "legend.frameon": False,
-    "axes.prop_cycle": cycler(color=PALETTE),
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.8,
-    "lines.markersize": 5,
-    "image.cmap": "viridis",
-    "svg.hashsalt": "fmsync",
-}
+_SHEET = Path(__file__).with_suffix(".mplstyle")
+STYLE: list[Path | dict[str, Any]] = [_SHEET, {"axes.prop_cycle": cycler(color=PALETTE)}]
 
 
 def style() -> None:
     """Set the look of every later matplotlib figure: Okabe–Ito colours, white paper, 12 pt type.
 
-    >>> import fmsync
-    >>> fmsync.viz.style()
+    >>> style()
     """
     mpl.style.use(STYLE)
 
@@ -63,13 +39,11 @@ def style() -> None:
 def subplots(*args: Any, **options: Any) -> tuple[Figure, Any]:
     """``matplotlib.pyplot.subplots`` in the look of :func:`style`; labels, limits and scales go to the axes.
 
-    >>> import fmsync
-    >>> fig, ax = fmsync.viz.subplots(figsize=(5.2, 3), xlabel="noise", yscale="log")
+    >>> fig, ax = subplots(figsize=(5.2, 3), xlabel="noise", yscale="log")
     """
     style()
-    of_axes = {
-        name: options.pop(name) for name in [*options] if name[1:] in ("label", "lim", "scale") or name == "title"
-    }
+    chosen = [name for name in options if name[1:] in ("label", "lim", "scale") or name == "title"]
+    of_axes = {name: options.pop(name) for name in chosen}
     return plt.subplots(*args, subplot_kw=of_axes, **options)
 
 
@@ -98,7 +72,6 @@ class Picture(Shown):
     width: int
 
     def html(self) -> str:
-        """The figure in HTML."""
         return f'<figure class="fm-figure">{image_tag(self.png, self.alt, self.width)}</figure>'
 
 
@@ -115,14 +88,13 @@ def image_tag(png: bytes, alt: str, width: int) -> str:
     )
 
 
-@checked()
+@checks.checked()
 def picture(fig: Figure, alt: str) -> Picture:
     """Freeze a matplotlib figure as a ``Picture``, and close it; ``alt`` says in a sentence or two what it shows.
 
     Type smaller than 10 points is raised to that: it could not be read on a phone. Where there is no legend,
     axes with labels get one.
 
-    >>> import matplotlib.pyplot as plt
     >>> fig, ax = plt.subplots()
     >>> picture(fig, alt="An empty pair of axes.")
     <Picture: An empty pair of axes.>
@@ -155,13 +127,13 @@ def freeze(fig: Figure, scale: float, *, laid_out: bool = False) -> bytes:
     return buffer.getvalue()
 
 
-@checked(matrices=checks.array)
+@checks.checked(matrices="n m")
 def heatmaps(
     matrices: Sequence[ArrayLike],
     titles: Sequence[str] | None = None,
     *,
     alt: str,
-    clim: tuple[float, float] | None = None,
+    clim: Limits = None,
     columns: int = 3,
 ) -> Picture:
     """Matrices side by side under one colour scale.
@@ -171,16 +143,12 @@ def heatmaps(
     * ``clim``: limits shared by all panels; by default symmetric about zero and wide enough for every entry.
     * ``columns``: panels in a row.
 
-    >>> import numpy as np
     >>> heatmaps([np.eye(3), -np.eye(3)], ["plus", "minus"], alt="The identity and its negative.")
     <Picture: The identity and its negative.>
     """
     arrays = [np.asarray(m, dtype=float) for m in matrices]
     if not arrays:
         raise ValueError("matrices is empty: give at least one (n, m) array")
-    for k, m in enumerate(arrays):
-        if m.ndim != 2:
-            raise ValueError(f"matrices[{k}] has shape {m.shape}: give arrays of shape (n, m)")
     titles = [""] * len(arrays) if titles is None else list(titles)
     if len(titles) != len(arrays):
         raise ValueError(f"{len(titles)} titles for {len(arrays)} matrices: give one each")

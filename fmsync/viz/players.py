@@ -5,62 +5,30 @@ import html
 import io
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 from PIL import Image
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.viz.figures import PALETTE, STYLE, Picture, freeze, image_tag
 
 _SCALE = 1.5  # device pixels for each CSS pixel of a frame: sharp enough on a phone, and half the bytes of two
 _MOST_BYTES = 300_000
 _COLOURS = 64  # of the frames
-# it starts by itself once it is seen, where less motion is not wished for, and rests on the last frame
-_SCRIPT = """for (const f of document.querySelectorAll(".fm-moving:not([data-fm])")) {
-  f.dataset.fm = "ready";
-  const [frame, button, slider] = ["div", "button", "input"].map((q) => f.querySelector(q));
-  const { columns, rows, time } = f.dataset, last = +slider.max;
-  let timer = 0;
-  const show = (k) => {
-    slider.value = k;
-    frame.style.backgroundPosition =
-      `${(100 * (k % columns)) / (columns - 1 || 1)}% ${(100 * Math.floor(k / columns)) / (rows - 1 || 1)}%`;
-  };
-  const stop = () => { timer = clearInterval(timer); button.textContent = "Play"; };
-  const step = () => { show(+slider.value + 1); if (+slider.value === last) stop(); };
-  const play = () => {
-    if (+slider.value === last) show(0);
-    timer = setInterval(step, +time);
-    button.textContent = "Pause";
-  };
-  button.onclick = () => (timer ? stop() : play());
-  slider.oninput = () => { stop(); show(+slider.value); };
-  if (matchMedia("(prefers-reduced-motion: reduce)").matches) continue;
-  new IntersectionObserver((entries, seen) => {
-    if (!entries.some((e) => e.isIntersecting)) return;
-    seen.disconnect();
-    if (!timer && +slider.value === last) play();
-  }, { threshold: 0.9 }).observe(frame);
-}"""
+_SCRIPT = Path(__file__).with_suffix(".js")
 
 
 @dataclass(frozen=True, repr=False)
 class Player(Picture):
     """Frames to run through, joined into one WebP; ``png`` is the last one, for paper and where no script runs.
 
-    Parameters
-    ----------
-    webp, count, columns
-        The frames row by row, how many there are, and how many are in a row.
-    seconds
-        How long a frame is seen when they run by themselves.
+    ``webp`` holds ``count`` frames row by row, ``columns`` in a row; one is seen for ``seconds`` when they run.
     """
 
     webp: bytes
@@ -85,11 +53,11 @@ class Player(Picture):
             '<div class="fm-controls"><button type="button">Play</button> '
             f'<input type="range" min="0" max="{last}" value="{last}" autocomplete="off" '
             'aria-label="frame"></div>'
-            f"<script>{_SCRIPT}</script></figure>"
+            f"<script>{_SCRIPT.read_text(encoding='utf-8')}</script></figure>"
         )
 
 
-@checked(seconds=checks.positive)
+@checks.checked(seconds=checks.positive)
 def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Player:
     """Join matplotlib figures of one size into a ``Player``, and close them.
 
@@ -127,7 +95,7 @@ def player(figures: Iterable[Figure], alt: str, *, seconds: float = 0.15) -> Pla
     return Player(freeze(figure, 2, laid_out=True), alt, width, buffer.getvalue(), len(images), columns, seconds)
 
 
-@checked(points="T 3")
+@checks.checked(points="T 3")
 def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
     """A chain of unit vectors (T, 3), T >= ``frames``, drawn as it goes: what is near is dark, what is behind is pale.
 
@@ -138,7 +106,7 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
     <Player: Along the equator.>
     """
     points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
+    if not np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-6):
         raise ValueError(f"points has shape {points.shape}: give (T, 3) unit vectors")
     if len(points) < frames:
         raise ValueError(f"{len(points)} points for {frames} frames: give at least one for each")
@@ -154,11 +122,12 @@ def _sphere(points: np.ndarray, total: int) -> Figure:
     ax.set_axis_off()
     ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
     turn = np.linspace(0, 2 * np.pi, 90)
-    for height in (-0.5, 0.0, 0.5):  # three parallels and two meridians show the roundness
-        ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * np.sqrt(1 - height**2) + [0, 0, height]
-        _line(ax, ring, "#c6d0da")
-    for angle in (0, np.pi / 2):
-        _line(ax, np.stack([np.cos(turn) * np.cos(angle), np.cos(turn) * np.sin(angle), np.sin(turn)], 1), "#c6d0da")
+    c, s, zero = np.cos(turn), np.sin(turn), 0 * turn  # three parallels and two meridians show the roundness
+    rings = [np.stack([c, s, zero], 1) * np.sqrt(1 - height**2) + [0, 0, height] for height in (-0.5, 0.0, 0.5)]
+    for ring in [*rings, np.stack([c, zero, s], 1), np.stack([zero, c, s], 1)]:
+        right, up, near = _seen(ring)
+        ax.plot(np.where(near >= 0, right, np.nan), up, color="#c6d0da", lw=1)
+        ax.plot(np.where(near < 0, right, np.nan), up, color="#c6d0da", lw=0.5, ls=":")
     for behind, size, alpha in ((True, 5, 0.25), (False, 9, 0.6)):
         chosen = (depth < 0) == behind
         ax.scatter(x[chosen], y[chosen], s=size, color=PALETTE[0], alpha=alpha, lw=0, zorder=3)
@@ -172,9 +141,3 @@ def _seen(points: np.ndarray) -> np.ndarray:
     eye = np.array([0.78, -0.45, 0.43]) / np.linalg.norm([0.78, -0.45, 0.43])
     across = np.cross([0, 0, 1], eye) / np.linalg.norm(np.cross([0, 0, 1], eye))
     return np.stack([across, np.cross(eye, across), eye]) @ points.T
-
-
-def _line(ax: Axes, points: np.ndarray, colour: str) -> None:
-    x, y, depth = _seen(points)
-    ax.plot(np.where(depth >= 0, x, np.nan), y, color=colour, lw=1)
-    ax.plot(np.where(depth < 0, x, np.nan), y, color=colour, lw=0.5, ls=":")

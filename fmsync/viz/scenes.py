@@ -22,10 +22,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fmsync import checks
-from fmsync.checks import checked
 from fmsync.extras import require
 from fmsync.shape import Shape
-from fmsync.viz.figures import PALETTE, Shown, image_tag
+from fmsync.viz.figures import PALETTE, Limits, Shown, image_tag
 
 _MAX_VERTICES = 10_000  # of one displayed scene, shared by its meshes: what a page can carry and a phone can turn
 _PIXELS = 1280  # width of the still: twice that of the text of a page
@@ -53,16 +52,10 @@ Panel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, repr=False)
 class Scene(Shown):
-    """A drawn scene: a still, and the one that turns.
+    """A drawn scene: a still, and ``data``, the one that turns.
 
-    Parameters
-    ----------
-    data
-        The scene as a zipped vtk.js file, or None of an overview, or where only the still could be drawn.
-    rows, columns, titles
-        The grid of panels and the title of each.
-    colour_bar
-        HTML of the colour bar, or an empty string.
+    ``data`` is a zipped vtk.js file, or None of an overview, or where only the still could be drawn. ``rows`` and
+    ``columns`` are those of the grid of panels with ``titles``; ``colour_bar`` is HTML, or an empty string.
     """
 
     data: bytes | None
@@ -105,7 +98,7 @@ def _drawable(name: str, mesh: Any) -> Any:
     return mesh
 
 
-@checked(meshes=_drawable, points="K < V")
+@checks.checked(meshes=_drawable, points="K < V")
 def scene(
     meshes: Sequence[Shape],
     scalars: Sequence[ArrayLike] | None = None,
@@ -113,7 +106,7 @@ def scene(
     *,
     alt: str,
     cmap: str = "viridis",
-    clim: tuple[float, float] | None = None,
+    clim: Limits = None,
     label: str = "",
     points: Sequence[ArrayLike] | None = None,
     flat: bool = False,
@@ -121,27 +114,16 @@ def scene(
 ) -> Scene:
     """Shapes side by side at equal scale, upright (z is up); turning one turns them all.
 
-    Parameters
-    ----------
-    meshes
-        K shapes, or other objects with ``vertices`` (V, 3) and ``faces`` (F, 3), in one common unit. A scene shows at
-        most 10,000 vertices, and every one of them takes the colour of the nearest given vertex.
-    scalars
-        K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
-    titles, alt
-        K strings, by default the ``name`` of each mesh, and a sentence or two that say what the scene shows.
-    cmap, clim, label
-        Colour map, its limits (by default the range of all scalars), and what the colour bar is called.
-    points
-        K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
-    flat
-        Light evenly, so that a colour means the same everywhere: for uncertainties.
-    columns
-        Shapes in a row. More than two are too small to turn and make an overview, which is a still.
+    * ``meshes``: K shapes, or other objects with ``vertices`` (V, 3) and ``faces`` (F, 3), in one common unit. A scene
+      shows at most 10,000 vertices, and every one of them takes the colour of the nearest given vertex.
+    * ``scalars``: K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
+    * ``titles``, ``alt``: K strings, by default the ``name`` of each mesh, and a sentence or two on what is shown.
+    * ``cmap``, ``clim``, ``label``: colour map, its limits (by default the range of all scalars), and what the colour
+      bar is called.
+    * ``points``: K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
+    * ``flat``: light evenly, so that a colour means the same everywhere: for uncertainties.
+    * ``columns``: shapes in a row. More than two are too small to turn and make an overview, which is a still.
 
-    Examples
-    --------
-    >>> import numpy as np
     >>> from types import SimpleNamespace
     >>> tetrahedron = SimpleNamespace(vertices=np.eye(4)[:, :3], faces=[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
     >>> scene([tetrahedron], [[0, 1, 2, 3]], ["tetrahedron"], alt="A tetrahedron.")
@@ -165,14 +147,10 @@ def scene(
     return Scene(png, alt, data, rows, columns, tuple(titles), colour_bar)
 
 
-@checked(mesh=_drawable, vertex=">= 0")
+@checks.checked(mesh=_drawable, vertex=">= 0")
 def facing(mesh: Shape, vertex: int) -> Shape:
     """The shape turned about its upright axis until one vertex faces the reader.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fmsync import Shape
     >>> facing(Shape(np.eye(3), [[0, 1, 2]], "triangle"), 0).vertices.round(2)[2].tolist()
     [0.0, 0.0, 1.0]
     """
@@ -209,11 +187,7 @@ def _choose_egl() -> None:
 
 
 def _colours(
-    meshes: Sequence[Shape],
-    scalars: Sequence[ArrayLike] | None,
-    cmap: str,
-    clim: tuple[float, float] | None,
-    label: str,
+    meshes: Sequence[Shape], scalars: Sequence[ArrayLike] | None, cmap: str, clim: Limits, label: str
 ) -> tuple[list[np.ndarray], str]:
     """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
     if scalars is None:
@@ -301,10 +275,8 @@ def _export(window: Any) -> bytes:
         "centerOfRotation": camera.GetFocalPoint(),
         "camera": serializers.reference_id(camera),
     }
-    arrays = {
-        a["hash"]: {**a, "content": context.get_cached_data_array(a["hash"])}
-        for a in serializers.extract_array_hash(state)
-    }
+    arrays = {a["hash"]: a for a in serializers.extract_array_hash(state)}
+    arrays = {key: a | {"content": context.get_cached_data_array(key)} for key, a in arrays.items()}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         entry = zipfile.ZipInfo("index.json")  # with a fixed date: same scene, same bytes

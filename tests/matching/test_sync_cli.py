@@ -201,7 +201,7 @@ def test_finished_pairs_outlive_typos_and_damage(folder, tmp_path, monkeypatch, 
     def full_disk(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("fmsync.matching.output.write_all", full_disk)
+    monkeypatch.setattr("fmsync.sync_cli.write_all", full_disk)
     assert main(command) == 1
     assert "No space left" in capsys.readouterr().err
     monkeypatch.undo()

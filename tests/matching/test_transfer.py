@@ -76,7 +76,7 @@ def test_values_that_do_not_fit_are_refused(synced):
     ):
         with pytest.raises(ValueError, match=said):
             transfer(synced, 0, values)
-    with pytest.raises(ValueError, match=r"i\[0\] = 4 is outside the shapes 0\.\.3"):
+    with pytest.raises(ValueError, match=r"i: 4 is outside 0\.\.3"):
         transfer(synced, 4, np.zeros(1000))
     with pytest.raises(ValueError, match="outside the vertices"):
         transfer_landmarks(synced, 0, [1000])
