@@ -67,7 +67,7 @@ def sample(
       distributed around a common mean, both inferred; its draws are ``kappas``. ``"by-frequency"``, for the same two:
       :math:`p(C_{ij})\propto\exp\operatorname{tr}(\Lambda C_{ij}^\top C_i^\top C_j)`, a κ for every basis function
       on the diagonal of Λ, uniform on [0, 1e5]; its draws are ``kappas``, with an approximate normaliser
-      (:mod:`fmsync.samplers.concentration`). The last four need observations in SO(n), so that for matrices with noise
+      (``fmsync.samplers.concentration``). The last four need observations in SO(n), so that for matrices with noise
       in every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
     * ``energy``: ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
       ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
