@@ -48,10 +48,7 @@ def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[n
     np.add.at(votes, (first, second), parity)
     votes = votes + votes.T
     signs = np.where(np.linalg.eigh(votes)[1][:, -1] < 0, -1.0, 1.0)
-    for _ in range(n_nodes**2):  # each flip satisfies more edges, so that this ends long before
-        gain = signs * (votes @ signs)
-        if gain.min() >= 0:
-            break
+    while (gain := signs * (votes @ signs)).min() < 0:  # each flip satisfies more edges, so that this ends
         signs[gain.argmin()] *= -1
     signs *= signs[0]
     return signs, np.flatnonzero(parity != signs[first] * signs[second])

@@ -10,8 +10,8 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from fmsync.adapters import to_pyvista
 from fmsync.estimators import Estimate
-from fmsync.extras import require
 from fmsync.matching.confidence import Confidence, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.network import inlier_weights, trusted_part
@@ -160,9 +160,7 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
 
 def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:
     """VTP with all columns, and binary PLY with some; MeshLab colours by ``quality``, which is the region."""
-    pv = require("pyvista", "shapes")
-    faces = np.empty((0, 3), int) if shape.faces is None else shape.faces
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, faces) if len(faces) else pv.PolyData(shape.vertices)
+    mesh, faces = to_pyvista(shape), np.empty((0, 3), int) if shape.faces is None else shape.faces
     columns = dict(zip("xyz", shape.vertices.T))
     if table is not None:
         for column in table:
