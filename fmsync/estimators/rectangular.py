@@ -300,6 +300,5 @@ def _eigenvector_rows(problem: RectangularSyncProblem, m: int, rng: np.random.Ge
 
 
 def _orthonormal(block: np.ndarray) -> np.ndarray:
-    """The nearest matrix with orthonormal columns."""
     u, _, vt = np.linalg.svd(block, full_matrices=False)
     return u @ vt

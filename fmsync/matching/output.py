@@ -70,7 +70,6 @@ def write_all(
 
 
 def _packed(synced: SyncedShapes) -> dict[str, Any]:
-    """Arrays of a collection, from which :func:`load_synced` makes it again."""
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
     packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "violating", "used", "names")}

@@ -62,17 +62,15 @@ def _data(
     shapes, nearest, pairs = [], [], {}
     n_draws = max(10, min(_MOST_DRAWS, _ALL_DRAWS // len(known)))
     for s, (vertices, faces) in zip(synced.shapes, drawn):
-        points = s.shape.vertices[vertices]
-        points = points - (points.max(axis=0) + points.min(axis=0)) / 2
-        size = float(np.linalg.norm(points, axis=1).max())
-        points = _packed(32000 * points / size, "<i2")
-        colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
-        drawing = {"size": size, "points": points, "faces": _packed(faces, "<u2"), "colours": colours}
-        choice = s.samples[:_CHOICE].tolist()
-        tree = cKDTree(s.shape.vertices[vertices])
-        picks = tree.query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
+        at = s.shape.vertices[vertices]
+        centred = at - (at.max(axis=0) + at.min(axis=0)) / 2
+        size = float(np.linalg.norm(centred, axis=1).max())
+        points, colours = 32000 * centred / size, 255 * colours_from_coordinates(at)[:, :3]
+        picks = cKDTree(at).query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
         nearest.append(picks)
-        shapes.append({"name": s.shape.name, "choice": choice, "picks": _packed(picks[:_CHOICE], "<u2")} | drawing)
+        named = {"name": s.shape.name, "choice": s.samples[:_CHOICE].tolist(), "picks": _packed(picks[:_CHOICE], "<u2")}
+        drawing = {"points": _packed(points, "<i2"), "faces": _packed(faces, "<u2"), "colours": _packed(colours, "u1")}
+        shapes.append(named | {"size": size} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
     for (i, j), k in known.items():
         first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]

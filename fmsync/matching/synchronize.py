@@ -129,8 +129,7 @@ class SyncedShapes:
             raise ValueError("n_draws: there are no posterior draws; synchronise with n_draws > 0")
         flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
         flat = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(int)]
-        flips = network.basis_signs(self.signs, self.problem.n)
-        return flips[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * flips[j]
+        return network.flipped(so.transpose(flat[:, i]) @ flat[:, j], np.array([[i, j]]), self.signs)
 
     @checks.checked(i="< N", j="< N", vertex=">= 0")
     def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
@@ -300,9 +299,7 @@ def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
         raise ValueError(f"{', '.join(inside_out)}: mirrored or inside out while the others are not; {todo}")
 
 
-def checked_landmarks(
-    landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int
-) -> Sequence[np.ndarray]:
+def checked_landmarks(landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int) -> list[np.ndarray]:
     """The vertices (L,) of each shape."""
     if len(landmarks) != len(shapes):
         raise ValueError(f"landmarks: {len(landmarks)} rows for {len(shapes)} shapes; give one row for each")
