@@ -73,8 +73,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
 def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int = FINE) -> PairMatch:
     """A proposed map, upsampled to at most ``size`` and scored like the candidates of :func:`match`."""
     with single_threaded_blas():
-        top = min(size, first.basis.n, second.basis.n)
-        maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES[2])
+        maps, images = zoomout(first, second, c_ij[None], min(size, first.basis.n, second.basis.n), 6, _SAMPLES[2])
         distortion, orientation, _ = map_scores(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
 

@@ -14,9 +14,9 @@ from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.confidence import Confidence, draw_images
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags
-from fmsync.matching.samples import SampledShape, decimated
+from fmsync.matching.samples import decimated
 from fmsync.matching.synchronize import SyncedShapes
-from fmsync.shape import colours_from_coordinates
+from fmsync.shape import Shape, colours_from_coordinates
 from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
@@ -58,7 +58,7 @@ def _data(
     synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float, level: float
 ) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
-    drawn = [_drawn(s) for s in synced.shapes]
+    drawn = [_drawn(s.shape) for s in synced.shapes]
     shapes, nearest, pairs = [], [], {}
     n_draws = max(10, min(_MOST_DRAWS, _ALL_DRAWS // len(known)))
     for s, (vertices, faces) in zip(synced.shapes, drawn):
@@ -106,9 +106,8 @@ def _explored(
     }
 
 
-def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:
+def _drawn(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Vertices of a coarse copy, as indices into the shape, and its faces (none for a point cloud)."""
-    shape = s.shape
     if shape.faces is None:
         return np.linspace(0, shape.n_vertices - 1, min(_DRAWN, shape.n_vertices)).astype(int), np.empty((0, 3), int)
     if shape.n_vertices <= _DRAWN:

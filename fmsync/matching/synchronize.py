@@ -372,9 +372,9 @@ def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
     """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
     apart = spectral_distances(shapes)
     nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
-    chosen = nx.Graph((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
-    tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
-    return np.array(sorted(tuple(sorted(e)) for e in {*map(frozenset, chosen.edges), *map(frozenset, tree.edges)}))
+    chosen = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
+    chosen.add_edges_from((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
+    return np.array(sorted(map(sorted, chosen.edges)))
 
 
 def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path | None) -> PairMatch:
