@@ -120,9 +120,8 @@ def doubts_of_draws(posterior: Posterior, given: bool) -> list[str]:
     effective = min((ess(x) for x in varying), default=np.nan)
     if posterior.modes:
         todo = _MORE_PAIRS[given] + ", or give landmarks (landmarks, --landmarks)" * (not given)
-        said.append(
-            f"The maps can agree in more ways than one ({posterior.modes}): do not rely on the regions; {todo}."
-        )
+        ways = f"The maps can agree in more ways than one ({posterior.modes})"
+        said.append(f"{ways}: do not rely on the regions; {todo}.")
     if not np.isfinite(apart):
         said.append(f"There are too few posterior draws to tell whether the chains agree: {_MORE_DRAWS}.")
     elif apart > LARGEST_RHAT:
