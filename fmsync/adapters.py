@@ -135,7 +135,7 @@ def to_geomstats(rotations: np.ndarray) -> tuple[Any, Any]:
 def from_geomstats(points: Any) -> np.ndarray:
     """Rotations (N, n, n) of points of ``SpecialOrthogonal``; a ValueError names one that is none."""
     rotations = np.array(require("geomstats.backend", "bench").to_numpy(points), dtype=float)
-    checks.rotations("points", rotations.reshape(-1, *rotations.shape[-2:]))
+    checks.rotations("points", rotations)
     return rotations
 
 
@@ -170,8 +170,8 @@ def to_networkx(problem: SyncProblem) -> nx.MultiDiGraph:
     """Nodes 0..N-1 and an edge i → j with ``map`` (n, n) and ``weight`` for every observation of C_ij."""
     graph = nx.MultiDiGraph()
     graph.add_nodes_from(range(problem.n_nodes))
-    for (i, j), c, weight in zip(problem.edges.tolist(), problem.maps, problem.weights.tolist()):
-        graph.add_edge(i, j, map=c.copy(), weight=weight)
+    data = ({"map": c.copy(), "weight": weight} for c, weight in zip(problem.maps, problem.weights.tolist()))
+    graph.add_edges_from((*edge, told) for edge, told in zip(problem.edges.tolist(), data))
     return graph
 
 

@@ -1,6 +1,7 @@
 """``fmsync sync``: from mesh files to consistent correspondences with a confidence on every vertex."""
 
 import argparse
+import itertools
 import json
 import os
 import re
@@ -44,16 +45,16 @@ def run(options: argparse.Namespace) -> int:
     calibration = default_calibration() if own is None else ConformalCalibration.load(own)
     calibration.scale(options.level)
     files = mesh_files(options.meshes)
-    names = file_names([file.stem for file in files])
+    stems = [file.stem for file in files]
+    names = file_names(stems)
     progress = sys.stderr.isatty()  # on a terminal, and nowhere else
     with _working_folder(options.output) as work:
         caught: list[str] = []
         with warnings.catch_warnings(action="always"):
             warnings.showwarning = partial(_hear, caught)
             shapes = [replace(read_shape(file, manifold=False), name=name) for file, name in zip(files, names)]
-            sizes, stems = [shape.n_vertices for shape in shapes], [file.stem for file in files]
-            maps = None if options.maps is None else read_maps(options.maps, stems, sizes)
-            landmarks = None if options.landmarks is None else _landmarks(options.landmarks, shapes)
+            maps = options.maps and read_maps(options.maps, stems, [shape.n_vertices for shape in shapes])
+            landmarks = options.landmarks and _landmarks(options.landmarks, shapes)
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
@@ -84,16 +85,12 @@ def file_names(names: Sequence[str]) -> list[str]:
     found: list[str] = []
     for name in names:
         safe = re.sub(r"[^\w.+-]", "_", name.encode("utf-8", "replace").decode()).lstrip(".")[:_LONGEST_NAME] or "shape"
-        number, unique = 1, safe
-        while unique.lower() in map(str.lower, found):
-            number += 1
-            unique = f"{safe}_{number}"
-        found.append(unique)
+        tried = itertools.chain([safe], (f"{safe}_{number}" for number in itertools.count(2)))
+        found.append(next(name for name in tried if name.lower() not in map(str.lower, found)))
     return found
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse numbers and choices that are wrong whatever the meshes are."""
     for name, least in (("basis", 2), ("refined", options.basis), ("samples", options.basis), ("draws", 1)):
         if getattr(options, name) < least:
             raise ValueError(f"--{name}: at least {least}, got {getattr(options, name)}")
@@ -138,7 +135,6 @@ def _working_folder(output: Path) -> Iterator[Path]:
 
 
 def _summary(synced: SyncedShapes, output: Path, files: Mapping[str, Path], said: Sequence[str]) -> dict[str, object]:
-    """What a script wants to know of a result."""
     assert synced.posterior is not None, "the command asks for draws"
     return {
         "output": str(output),

@@ -54,7 +54,7 @@ class RectangularSyncProblem:
         if len(checked) != len(edges):
             raise ValueError(f"maps: {len(checked)} maps for {len(edges)} edges; give one map per edge")
         weights = checks.edge_weights(weights, edges)
-        sizes, first = np.zeros(n_nodes, dtype=np.int64), np.zeros(n_nodes, dtype=np.int64)
+        seen: dict[int, tuple[int, int]] = {}  # of a node: its size, and the edge that told it
         for e, (ends, observed) in enumerate(zip(edges.tolist(), checked)):
             name = checks.edge_name(edges, e)
             if observed.ndim != 2 or 0 in observed.shape:
@@ -62,12 +62,12 @@ class RectangularSyncProblem:
             if not np.isfinite(observed).all():
                 raise ValueError(f"maps: {name} holds NaN or infinity")
             for node, size in zip(ends, observed.shape):
-                if sizes[node] == 0:
-                    sizes[node], first[node] = size, e
-                elif sizes[node] != size:
-                    before = f"edge {first[node]} gave it {sizes[node]}; use one basis per shape"
+                known, teller = seen.setdefault(node, (size, e))
+                if known != size:
+                    before = f"edge {teller} gave it {known}; use one basis per shape"
                     raise ValueError(f"maps: {name} gives node {node} {size} basis functions, {before}")
             observed.setflags(write=False)
+        sizes = np.array([seen[node][0] for node in range(n_nodes)], dtype=np.int64)
         checks.set_fields(self, n_nodes=n_nodes, edges=edges, maps=checked, weights=weights, sizes=sizes)
 
     @cached_property
@@ -300,6 +300,5 @@ def _eigenvector_rows(problem: RectangularSyncProblem, m: int, rng: np.random.Ge
 
 
 def _orthonormal(block: np.ndarray) -> np.ndarray:
-    """The nearest matrix with orthonormal columns."""
     u, _, vt = np.linalg.svd(block, full_matrices=False)
     return u @ vt

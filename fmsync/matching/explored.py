@@ -41,13 +41,12 @@ def explore(
         drawn = [_images(synced, i, j, synced.draws(i, j, _DRAWS)) for i, j in ways]
         states.append(State("posterior", drawn, radii, centres, noise, temperature))
         if all(s.view == "posterior" or s.noise != noise for s in states):
-            together = [centre[:, None] for centre in centres]
             widened = [calibration.radius(k, level)[:_CHOICE] for k in known]
             if pair in synced.observed:
                 observed = [_images(synced, i, j, synced.observed[i, j][None]) for i, j in ways]
                 states.append(State("observed", observed, noise=noise))
-            states.append(State("synchronised", together, noise=noise))
-            states.append(State("calibrated", together, widened, centres, noise))
+            states.append(State("synchronised", [centre[:, None] for centre in centres], noise=noise))
+            states.append(State("calibrated", states[-1].images, widened, centres, noise))
     states.sort(key=lambda s: ("observed", "synchronised", "posterior", "calibrated").index(s.view))
     synced = next(iter(worlds.values()))
     choice = [synced.shapes[k].samples[:_CHOICE] for k in pair]

@@ -48,10 +48,7 @@ def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[n
     np.add.at(votes, (first, second), parity)
     votes = votes + votes.T
     signs = np.where(np.linalg.eigh(votes)[1][:, -1] < 0, -1.0, 1.0)
-    for _ in range(n_nodes**2):  # each flip satisfies more edges, so that this ends long before
-        gain = signs * (votes @ signs)
-        if gain.min() >= 0:
-            break
+    while (gain := signs * (votes @ signs)).min() < 0:  # each flip satisfies more edges, so that this ends
         signs[gain.argmin()] *= -1
     signs *= signs[0]
     return signs, np.flatnonzero(parity != signs[first] * signs[second])
@@ -123,8 +120,8 @@ def doubts_of_draws(posterior: Posterior, given: bool) -> list[str]:
     effective = min((ess(x) for x in varying), default=np.nan)
     if posterior.modes:
         todo = _MORE_PAIRS[given] + ", or give landmarks (landmarks, --landmarks)" * (not given)
-        text = f"The maps can agree in more ways than one ({posterior.modes}): do not rely on the regions; "
-        said.append(f"{text}{todo}.")
+        ways = f"The maps can agree in more ways than one ({posterior.modes})"
+        said.append(f"{ways}: do not rely on the regions; {todo}.")
     if not np.isfinite(apart):
         said.append(f"There are too few posterior draws to tell whether the chains agree: {_MORE_DRAWS}.")
     elif apart > LARGEST_RHAT:
@@ -140,25 +137,22 @@ def unchecked_maps(
     problem: SyncProblem, estimate: Estimate, names: Sequence[str], edge_names: Sequence[str], given: bool
 ) -> list[str]:
     """Sentences about maps that no cycle of trusted ones checks, and shapes without a majority of trusted ones."""
-    graph, todo = nx.empty_graph(problem.n_nodes), _MORE_PAIRS[given]
-    trust = inlier_weights(estimate) > 0.5
+    graph, trust = nx.empty_graph(problem.n_nodes), inlier_weights(estimate) > 0.5
     trusted, said = np.flatnonzero(trust).tolist(), []
     graph.add_edges_from(problem.edges[trusted].tolist())
     parts = [" + ".join(names[k] for k in sorted(part)) for part in nx.connected_components(graph)]
     bridges = {frozenset(pair) for pair in nx.bridges(graph)}
     lone = ", ".join(edge_names[e] for e in trusted if frozenset(problem.edges[e].tolist()) in bridges)
     if len(parts) > 1:
-        text = f"No map that agrees with others connects {', '.join(parts)}: what joins them is a guess"
-        said.append(f"{text}; {todo}.")
+        said.append(f"No map that agrees with others connects {', '.join(parts)}: what joins them is a guess")
     elif len(bridges) == problem.n_nodes - 1:
         text = "The graph has no cycle, so pairs cannot be checked against each other and the noise level is a guess"
-        said.append(f"{text}: {lone}; {todo}.")
+        said.append(f"{text}: {lone}")
     elif lone:
-        text = "No cycle of trusted maps checks these, and nothing shows whether they are wrong"
-        said.append(f"{text}: {lone}; {todo}.")
+        said.append(f"No cycle of trusted maps checks these, and nothing shows whether they are wrong: {lone}")
     right, wrong = (np.bincount(problem.edges[kept].ravel(), minlength=problem.n_nodes) for kept in (trust, ~trust))
     even = np.flatnonzero((wrong >= right) & (right > 1))  # a single map is a bridge
     if split := [f"{names[k]} ({right[k]} of {right[k] + wrong[k]})" for k in even]:
         text = "No majority of the maps of these shapes agrees with the others, so that the wrong ones may be trusted"
-        said.append(f"{text}: {', '.join(split)}; {todo}.")
-    return said
+        said.append(f"{text}: {', '.join(split)}")
+    return [f"{text}; {_MORE_PAIRS[given]}." for text in said]

@@ -10,8 +10,8 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from fmsync.adapters import to_pyvista
 from fmsync.estimators import Estimate
-from fmsync.extras import require
 from fmsync.matching.confidence import Confidence, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.network import inlier_weights, trusted_part
@@ -70,7 +70,6 @@ def write_all(
 
 
 def _packed(synced: SyncedShapes) -> dict[str, Any]:
-    """Arrays of a collection, from which :func:`load_synced` makes it again."""
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
     packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "violating", "used", "names")}
@@ -160,9 +159,7 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
 
 def _write_mesh(shape: Shape, table: pd.DataFrame | None, stem: Path) -> None:
     """VTP with all columns, and binary PLY with some; MeshLab colours by ``quality``, which is the region."""
-    pv = require("pyvista", "shapes")
-    faces = np.empty((0, 3), int) if shape.faces is None else shape.faces
-    mesh = pv.PolyData.from_regular_faces(shape.vertices, faces) if len(faces) else pv.PolyData(shape.vertices)
+    mesh, faces = to_pyvista(shape), np.empty((0, 3), int) if shape.faces is None else shape.faces
     columns = dict(zip("xyz", shape.vertices.T))
     if table is not None:
         for column in table:

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from fmsync import checks
-from fmsync.functional_maps import functional_map_from_descriptors
-from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
+from fmsync.functional_maps import functional_map_from_descriptors, row_images
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
@@ -74,8 +73,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
 def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int = FINE) -> PairMatch:
     """A proposed map, upsampled to at most ``size`` and scored like the candidates of :func:`match`."""
     with single_threaded_blas():
-        top = min(size, first.basis.n, second.basis.n)
-        maps, images = zoomout(first, second, c_ij[None], top, 6, _SAMPLES[2])
+        maps, images = zoomout(first, second, c_ij[None], min(size, first.basis.n, second.basis.n), 6, _SAMPLES[2])
         distortion, orientation, _ = map_scores(first, second, maps, images)
     return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
 
@@ -90,8 +88,7 @@ def zoomout(
     at_i, at_j = first.sampled(n_samples), second.sampled(n_samples)
     while True:
         k = maps.shape[-1]
-        moved = (at_i[:, :k] @ maps).reshape(-1, k)
-        images = nearest_rows(moved, at_j[:, :k]).reshape(len(maps), -1)  # (R, S)
+        images = row_images(at_i[:, :k], maps, at_j[:, :k])  # (R, S)
         if k >= size:
             return maps, images
         k = min(k + step, size)

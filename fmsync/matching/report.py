@@ -14,9 +14,9 @@ from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.confidence import Confidence, draw_images
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.quality import quality_flags
-from fmsync.matching.samples import SampledShape, decimated
+from fmsync.matching.samples import decimated
 from fmsync.matching.synchronize import SyncedShapes
-from fmsync.shape import colours_from_coordinates
+from fmsync.shape import Shape, colours_from_coordinates
 from fmsync.threads import single_threaded_blas
 
 _DRAWN = 1500  # vertices of a drawn shape
@@ -58,21 +58,19 @@ def _data(
     synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float, level: float
 ) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
-    drawn = [_drawn(s) for s in synced.shapes]
+    drawn = [_drawn(s.shape) for s in synced.shapes]
     shapes, nearest, pairs = [], [], {}
     n_draws = max(10, min(_MOST_DRAWS, _ALL_DRAWS // len(known)))
     for s, (vertices, faces) in zip(synced.shapes, drawn):
-        points = s.shape.vertices[vertices]
-        points = points - (points.max(axis=0) + points.min(axis=0)) / 2
-        size = float(np.linalg.norm(points, axis=1).max())
-        points = _packed(32000 * points / size, "<i2")
-        colours = _packed(255 * colours_from_coordinates(s.shape.vertices[vertices])[:, :3], "u1")
-        drawing = {"size": size, "points": points, "faces": _packed(faces, "<u2"), "colours": colours}
-        choice = s.samples[:_CHOICE].tolist()
-        tree = cKDTree(s.shape.vertices[vertices])
-        picks = tree.query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
+        at = s.shape.vertices[vertices]
+        centred = at - (at.max(axis=0) + at.min(axis=0)) / 2
+        size = float(np.linalg.norm(centred, axis=1).max())
+        points, colours = 32000 * centred / size, 255 * colours_from_coordinates(at)[:, :3]
+        picks = cKDTree(at).query(s.shape.vertices[s.samples])[1]  # the drawn vertex of each sample
         nearest.append(picks)
-        shapes.append({"name": s.shape.name, "choice": choice, "picks": _packed(picks[:_CHOICE], "<u2")} | drawing)
+        named = {"name": s.shape.name, "choice": s.samples[:_CHOICE].tolist(), "picks": _packed(picks[:_CHOICE], "<u2")}
+        drawing = {"points": _packed(points, "<i2"), "faces": _packed(faces, "<u2"), "colours": _packed(colours, "u1")}
+        shapes.append(named | {"size": size} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
     for (i, j), k in known.items():
         first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]
@@ -108,9 +106,8 @@ def _explored(
     }
 
 
-def _drawn(s: SampledShape) -> tuple[np.ndarray, np.ndarray]:
+def _drawn(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Vertices of a coarse copy, as indices into the shape, and its faces (none for a point cloud)."""
-    shape = s.shape
     if shape.faces is None:
         return np.linspace(0, shape.n_vertices - 1, min(_DRAWN, shape.n_vertices)).astype(int), np.empty((0, 3), int)
     if shape.n_vertices <= _DRAWN:

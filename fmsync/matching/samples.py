@@ -160,8 +160,7 @@ def orientation_operators(shape: Shape, basis: Basis, functions: np.ndarray) -> 
         of_pairs[m, :, m + 1 :] = 0.5 * middle.T @ twice
     of_pairs -= of_pairs.transpose(2, 1, 0)
     operators = np.tensordot(basis.coefficients(functions), of_pairs, (0, 0))
-    roots = np.zeros(basis.n)
-    roots[1:] = basis.eigenvalues[1:] ** -0.5
+    roots = np.concatenate([[0.0], basis.eigenvalues[1:] ** -0.5])
     return operators * roots[:, None] * roots
 
 

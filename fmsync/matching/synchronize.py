@@ -1,7 +1,6 @@
 """From shapes to consistent maps with a confidence: the stages of the pipeline in order."""
 
 import contextlib
-import hashlib
 import itertools
 import re
 import warnings
@@ -11,9 +10,9 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
+import joblib
 import networkx as nx
 import numpy as np
-from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from fmsync import checks, so
@@ -21,18 +20,10 @@ from fmsync.estimators import Estimate
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.functional_maps import vertex_images
+from fmsync.matching import network
 from fmsync.matching.confidence import Confidence, confidence, draw_images
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
 from fmsync.matching.latent import sizes, upsample
-from fmsync.matching.network import (
-    basis_signs,
-    flipped,
-    posterior_draws,
-    robust_maps,
-    trusted_edges,
-    trusted_part,
-    unchecked_maps,
-)
 from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
@@ -114,9 +105,7 @@ class SyncedShapes:
     @checks.checked(i="< N", j="< N")
     def sample_images(self, i: int, j: int) -> np.ndarray:
         """(S_i,) sample of j for each sample of i."""
-        return nearest_rows(
-            self.shared_functions(i, self.shapes[i].samples), self.shared_functions(j, self.shapes[j].samples)
-        )
+        return nearest_rows(*(self.shared_functions(k, self.shapes[k].samples) for k in (i, j)))
 
     @checks.checked(i="< N", j="< N")
     def point_map(self, i: int, j: int) -> np.ndarray:
@@ -140,8 +129,7 @@ class SyncedShapes:
             raise ValueError("n_draws: there are no posterior draws; synchronise with n_draws > 0")
         flat = self.posterior.absolute.reshape(-1, *self.posterior.absolute.shape[2:])
         flat = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(int)]
-        flips = basis_signs(self.signs, self.problem.n)
-        return flips[i][:, None] * (so.transpose(flat[:, i]) @ flat[:, j]) * flips[j]
+        return network.flipped(so.transpose(flat[:, i]) @ flat[:, j], np.array([[i, j]]), self.signs)
 
     @checks.checked(i="< N", j="< N", vertex=">= 0")
     def vertex_images(self, i: int, j: int, vertex: int, count: int = 100) -> np.ndarray:
@@ -250,13 +238,14 @@ def synchronize_shapes(
         _refuse_mirrored(sampled, edges, matches)
 
         def proposed(found: list[PairMatch]) -> np.ndarray:
-            estimate, signs, _, _ = robust_maps(len(sampled), edges, found, n_basis, rng)
-            return flipped(estimate.relative(), edges, signs)
+            estimate, signs, _, _ = network.robust_maps(len(sampled), edges, found, n_basis, rng)
+            return network.flipped(estimate.relative(), edges, signs)
 
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
     synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
-    for said in unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, True) if given else ():
+    told = synced.problem, synced.estimate, synced.names, map_names, True
+    for said in network.unchecked_maps(*told) if given else ():
         warnings.warn(said, stacklevel=3)
     return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 
@@ -278,10 +267,12 @@ def synchronize_matches(
     Maps with ``map_names`` are given ones: of each pair the best trusted one carries points, see there.
     """
     rng = np.random.default_rng(rng)
-    estimate, signs, violating, problem = robust_maps(len(shapes), edges, matches, n_basis, rng)
-    used = best_of_pairs(edges, matches, trusted_edges(problem, estimate)) if map_names else np.arange(len(edges))
-    part = trusted_part(problem, estimate, used)
-    posterior = posterior_draws(part, estimate, n_draws, rng, progress, bool(map_names)) if n_draws else None
+    estimate, signs, violating, problem = network.robust_maps(len(shapes), edges, matches, n_basis, rng)
+    used = np.arange(len(edges))
+    if map_names:
+        used = best_of_pairs(edges, matches, network.trusted_edges(problem, estimate))
+    given = network.trusted_part(problem, estimate, used), estimate, n_draws, rng, progress, bool(map_names)
+    posterior = network.posterior_draws(*given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
     steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
     refined = upsample(shapes, edges[used], start, steps)
@@ -297,9 +288,8 @@ def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
     volumes = {}  # of closed meshes that are inside out, or whose points are mirrored, it is negative
     for k, shape in enumerate(shapes):
         if shape.n_vertices <= n_refined:
-            raise ValueError(
-                f"{shape.name}: {shape.n_vertices} vertices, too few for n_refined = {n_refined}; lower it"
-            )
+            many = f"{shape.name}: {shape.n_vertices} vertices"
+            raise ValueError(f"{many}, too few for n_refined = {n_refined}; lower it")
         if shape.faces is not None:
             a, b, c = (shape.vertices - shape.vertices.mean(axis=0))[shape.faces.T]
             volumes[k] = float(np.einsum("fx,fx->", a, np.cross(b, c))) / 6 / shape.area**1.5
@@ -309,9 +299,7 @@ def check_shapes(shapes: Sequence[Shape], n_refined: int) -> None:
         raise ValueError(f"{', '.join(inside_out)}: mirrored or inside out while the others are not; {todo}")
 
 
-def checked_landmarks(
-    landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int
-) -> Sequence[np.ndarray]:
+def checked_landmarks(landmarks: Sequence[Sequence[int]], shapes: Sequence[Shape], n_samples: int) -> list[np.ndarray]:
     """The vertices (L,) of each shape."""
     if len(landmarks) != len(shapes):
         raise ValueError(f"landmarks: {len(landmarks)} rows for {len(shapes)} shapes; give one row for each")
@@ -347,10 +335,10 @@ def _checked_graph(graph: str | Sequence[tuple[int, int]], count: int) -> np.nda
 def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], list[Any]]:
     """Call a function with each of some arguments, in so many processes, under a bar with a name."""
     # No files shared between processes: joblib may delete one that the next stage, with the same arrays, still needs.
-    run = Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
+    run = joblib.Parallel(n_jobs=jobs, return_as="generator", max_nbytes=None)
 
     def each(what: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        tasks = (delayed(function)(*a) for a in arguments)
+        tasks = (joblib.delayed(function)(*a) for a in arguments)
         return list(tqdm(run(tasks), what, len(arguments), disable=not progress))
 
     return each
@@ -384,20 +372,17 @@ def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
     """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
     apart = spectral_distances(shapes)
     nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
-    chosen = nx.Graph((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
-    tree = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
-    return np.array(sorted(tuple(sorted(e)) for e in {*map(frozenset, chosen.edges), *map(frozenset, tree.edges)}))
+    chosen = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
+    chosen.add_edges_from((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
+    return np.array(sorted(map(sorted, chosen.edges)))
 
 
 def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path | None) -> PairMatch:
     """The match of a pair, read from ``folder`` where it was finished before."""
     if folder is None:
         return match(first, second)
-    key = hashlib.sha256()
-    for s in (first, second):
-        for array in (s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics):
-            key.update(np.ascontiguousarray(array).tobytes())
-    file = Path(folder) / f"{key.hexdigest()[:24]}.npz"
+    key = joblib.hash([(s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics) for s in (first, second)])
+    file = Path(folder) / f"{key[:24]}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(file) as kept:
         return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))  # a damaged file is made anew
     found = match(first, second)
