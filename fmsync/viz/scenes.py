@@ -66,8 +66,7 @@ class Scene(Shown):
 
     def html(self) -> str:
         """The built book holds one viewer for all its scenes; elsewhere (JupyterLab) each brings its own."""
-        width = int.from_bytes(self.png[16:20], "big")  # of the PNG header
-        height = int.from_bytes(self.png[20:24], "big")
+        width, height = (int.from_bytes(self.png[k : k + 4], "big") for k in (16, 20))  # of the PNG header
         still = image_tag(self.png, self.alt, 720)
         moving = ""
         if self.data is not None and os.environ.get("FMSYNC_SHARED_VIEWER"):
