@@ -26,7 +26,7 @@ from fmsync import langevin, so
 from fmsync.problem import SyncProblem
 from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks
-from fmsync.samplers.random_streams import slice_draw, uniform
+from fmsync.samplers.random_streams import uniform
 
 LARGEST_KAPPA = 1e5
 SHAPES = np.geomspace(1, 100, 24)  # at 100 concentrations hardly differ; below 1 the density is not log-concave
@@ -82,7 +82,23 @@ def draw_kappa(
     dim = n * (n - 1) / 2
     for _ in range(_UPDATES):
         width = 3 * max(kappa * np.sqrt(2 / (count * dim + 2 * power)), 1 / (n * np.sqrt(count + power)))
-        kappa = slice_draw(_log_density, (trace, count, power, table), kappa, width, 0.0, LARGEST_KAPPA, state)
+        level = _log_density(kappa, trace, count, power, table) + np.log(1 - uniform(state))
+        low = kappa - width * uniform(state)
+        high = low + width
+        while low > 0 and _log_density(low, trace, count, power, table) > level:
+            low -= width
+        while high < LARGEST_KAPPA and _log_density(high, trace, count, power, table) > level:
+            high += width
+        low, high = max(low, 0.0), min(high, LARGEST_KAPPA)
+        while True:
+            new = low + (high - low) * uniform(state)
+            if _log_density(new, trace, count, power, table) >= level:
+                break
+            if new < kappa:
+                low = new
+            else:
+                high = new
+        kappa = new
     return kappa
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from fmsync.samplers.base import Target
 from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
-from fmsync.samplers.random_streams import POOL, slice_draw, uniform, von_mises_halves
+from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
 
 Pool = Callable[[Callable[[int, int], None], int], None]  # calls work on chains first .. last, of so many
 
@@ -190,7 +190,7 @@ def rotate_eigenvectors(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _log_density(x: float, squares: np.ndarray, least: float, mean: float, sigma2: float) -> float:
+def _log_density(squares: np.ndarray, least: float, x: float, mean: float, sigma2: float) -> float:
     """Logarithm of the density of an eigenvalue at x given the squares and the least of the others."""
     if x + least <= 0:
         return -np.inf
@@ -217,8 +217,23 @@ def draw_eigenvalues(values: np.ndarray, diagonal: np.ndarray, sigma2: float, pa
             if c != k:
                 least = min(least, values[c])
                 squares[c - (c > k)] = values[c] * values[c]
-        given = squares, least, diagonal[k], sigma2
-        values[k] = slice_draw(_log_density, given, values[k], width, -np.inf, np.inf, state)
+        mean, here = diagonal[k], values[k]
+        level = _log_density(squares, least, here, mean, sigma2) + np.log(1 - uniform(state))
+        low = here - width * uniform(state)
+        high = low + width
+        while _log_density(squares, least, low, mean, sigma2) > level:
+            low -= width
+        while _log_density(squares, least, high, mean, sigma2) > level:
+            high += width
+        while True:
+            new = low + (high - low) * uniform(state)
+            if _log_density(squares, least, new, mean, sigma2) >= level:
+                break
+            if new < here:
+                low = new
+            else:
+                high = new
+        values[k] = new
 
 
 @numba.njit(cache=True, nogil=True)

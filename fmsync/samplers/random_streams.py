@@ -3,8 +3,6 @@ r"""Random numbers in compiled loops: xoshiro256++ in eight lanes, and von Mises
 A stream belongs to a chain or to a node of a chain, never to a thread: draws are the same however work is shared out.
 """
 
-from collections.abc import Callable
-
 import numba
 import numpy as np
 
@@ -46,35 +44,6 @@ def fill(state: np.ndarray, out: np.ndarray) -> None:
 def uniform(state: np.ndarray) -> float:
     """One number in [0, 1) from the first lane of ``state`` (4, 8)."""
     return _next(state, 0)
-
-
-@numba.njit(nogil=True)
-def slice_draw(
-    log_density: Callable[..., float],
-    given: tuple[object, ...],
-    here: float,
-    width: float,
-    least: float,
-    most: float,
-    state: np.ndarray,
-) -> float:
-    """One slice of a density on [least, most], whose logarithm at x is ``log_density(x, *given)`` (Neal 2003)."""
-    level = log_density(here, *given) + np.log(1 - uniform(state))
-    low = here - width * uniform(state)
-    high = low + width
-    while low > least and log_density(low, *given) > level:
-        low -= width
-    while high < most and log_density(high, *given) > level:
-        high += width
-    low, high = max(low, least), min(high, most)
-    while True:
-        new = low + (high - low) * uniform(state)
-        if log_density(new, *given) >= level:
-            return new
-        if new < here:
-            low = new
-        else:
-            high = new
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
