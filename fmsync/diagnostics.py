@@ -156,9 +156,9 @@ def summary(post: Draws, edges: np.ndarray | None = None) -> Summary:
     """
     values = scalars(post, edges)
     rows = [(x.mean(), x.std(), rhat(x), ess(x, "bulk"), ess(x, "tail")) for x in values.values()]
-    mean, sd, r_hat, bulk, tail = np.array(rows).T
-    _warn(post.method, tuple(values), r_hat, np.fmin(bulk, tail))
-    return Summary(tuple(values), mean, sd, r_hat, bulk, tail)
+    table = Summary(tuple(values), *np.array(rows).T)
+    _warn(post.method, table.names, table.r_hat, np.fmin(table.ess_bulk, table.ess_tail))
+    return table
 
 
 @checks.checked()

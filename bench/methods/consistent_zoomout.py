@@ -27,12 +27,10 @@ def consistent_zoomout(planted: Planted, *, rng: Rng, start: int | None = None) 
         SimpleNamespace(eigenvalues=basis.eigenvalues, eigenvectors=basis.eigenfunctions, A=basis.mass)
         for basis in planted.bases
     ]
-    first = problem.n // 2 if start is None else start
     network.set_subsample([rng.permutation(len(b.mass))[:_VERTICES] for b in planted.bases])
-    network.M = first
+    network.M = problem.n // 2 if start is None else start
     while problem.n > network.M:  # its zoomout_refine would end with a search among all vertices
         network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + 1, n_jobs=1)
     network.set_weights(weight_type="adjacency")
-    network.compute_W(M=problem.n)
-    bases = latent_bases(network, rng)
+    bases = latent_bases(network, problem.n, rng)
     return Answer(lambda pairs: bases[pairs[:, 0]] @ np.linalg.inv(bases[pairs[:, 1]]))

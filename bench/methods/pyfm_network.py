@@ -30,8 +30,7 @@ def pyfm_network(problem: SyncProblem, *, rng: Rng, projected: bool = False, wei
     if weights != "adjacency" and not has_cycles(network):
         raise ValueError("weights: the graph has no 3-cycle to weigh; use 'adjacency'")
     network.set_weights(weight_type="adjacency" if weights == "adjacency" else "icsm")
-    network.compute_W(M=problem.n)
-    bases = latent_bases(network, rng)
+    bases = latent_bases(network, problem.n, rng)
     if projected:
         if np.linalg.det(bases).sum() < 0:
             bases = bases * np.where(np.arange(problem.n) == 0, -1.0, 1.0)
@@ -61,8 +60,9 @@ def has_cycles(network: Any) -> bool:
     return bool(network.cycles)
 
 
-def latent_bases(network: Any, rng: np.random.Generator) -> np.ndarray:
+def latent_bases(network: Any, n: int, rng: np.random.Generator) -> np.ndarray:
     """(N, n, n): ``FMN.compute_CLB`` with a start vector, without which the same input gives different bits."""
+    network.compute_W(M=n)
     size = network.W.shape[0]
     mass = scipy.sparse.eye(size) / network.n_meshes
     _, vectors = scipy.sparse.linalg.eigsh(

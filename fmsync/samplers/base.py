@@ -112,12 +112,10 @@ class Sampler(Protocol):
     @property
     def settings(self) -> Mapping[str, object]:
         """Plain values that it chose or was given."""
-        ...
 
     @property
     def state(self) -> np.ndarray:
         """(K, N, n, n) where the chains are, without helper nodes."""
-        ...
 
     def draw(self) -> np.ndarray:
         """(K, N, n, n) the state as rotations."""
@@ -125,11 +123,9 @@ class Sampler(Protocol):
 
     def energy(self) -> np.ndarray:
         """(K,) potential U of the state, without the temperature and, but for ``"rlfm"``, without the prior."""
-        ...
 
     def step(self, warmup: bool) -> None:
         """One transition of all chains; it may adapt itself in the warm-up, never after."""
-        ...
 
 
 sampler = SAMPLERS.register  #: register a sampler class under a name

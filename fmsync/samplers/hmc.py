@@ -36,9 +36,6 @@ class HMC(Sampler):
     """
 
     _target = 0.8
-    _observed: np.ndarray
-    _potential: np.ndarray
-    _gradient: np.ndarray
 
     @checks.checked(start="K N n n", integrator=("cayley", "exp"), step=checks.positive, length=checks.positive)
     def __init__(
@@ -73,7 +70,7 @@ class HMC(Sampler):
         self._weight = 0.0  # of what the warm-up saw
         self._c, self._age = np.ascontiguousarray(start), 0
         self._accepted, self._tried = 0.0, 0
-        self.refresh()
+        self._observed, self._potential, self._gradient = self.evaluate(self._c)
         self._choices: dict[str, object] = {"energy": target.energy, "integrator": integrator}
 
     @property

@@ -99,16 +99,12 @@ def sweep(
                     if len(field):
                         force[a, b] += field[i, a, b]
             np.dot(c[i], force.T, product)  # Wᵀ
-            for a in range(n):
-                for b in range(n):
-                    rows[a, b] = product[a, b]
-                    rows[a, n + b] = c[i, a, b]
+            rows[:, :n] = product
+            rows[:, n:] = c[i]
             for _ in range(over_relaxations):
                 _over_relax(rows, planes, angles)
             _draw(rows, planes, angles, states[k, i], pool)
-            for a in range(n):
-                for b in range(n):
-                    c[i, a, b] = rows[a, n + b]
+            c[i] = rows[:, n:]
             gains[k, i] = inner(sums, c[i]) - before
 
 

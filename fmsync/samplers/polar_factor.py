@@ -124,8 +124,7 @@ def polar_factor_step(
             for a in range(n):
                 quadratic += values[k, e, a] * values[k, e, a]
                 linear += values[k, e, a] * diagonal[a]
-                for b in range(n):
-                    vectors[k, e, a, b] = rows[a, b]
+            vectors[k, e] = rows[:, :n]
         scale = 1.0
         if infer:
             sigma2[k], scale = draw_sigma2(quadratic, linear, n_edges * n, n_edges * n * n, sigma2[k], states[k])

@@ -50,7 +50,7 @@ class Posterior(Draws):
 
         ``edges`` (E, 2) are any pairs, by default the problem's own: for a thousand draws ask for a few only.
         """
-        return relative_maps(self.absolute, self._edges(edges))
+        return relative_maps(self.absolute, self.problem.edges if edges is None else edges)
 
     @checks.checked(edges="K 2 < N")
     def relative_mean(self, edges: np.ndarray | None = None, *, projected: bool = True) -> np.ndarray:
@@ -59,7 +59,7 @@ class Posterior(Draws):
         ``edges`` (E, 2) are the problem's own by default. With ``projected=False`` it is the arithmetic mean itself,
         which is not a rotation but of all matrices the one with the least expected squared Frobenius error.
         """
-        edges = self._edges(edges)
+        edges = self.problem.edges if edges is None else edges
         # one product per pair over all draws at once, and no (draws, E, n, n) array
         stacked = {k: self.absolute[:, :, k].reshape(-1, self.problem.n) for k in np.unique(edges)}  # (draws n, n)
         mean = np.stack([stacked[i].T @ stacked[j] for i, j in edges]) / (self.n_chains * self.n_draws)
@@ -73,7 +73,7 @@ class Posterior(Draws):
         :math:`\tfrac{T}{T-1}\lVert C_t-\bar C\rVert_F`. The radius is the (k+1)-th smallest of these T distances, k the
         largest integer with k/T <= ``level``: :func:`fmsync.calibration.ball_level` of what it covers is at most that.
         """
-        edges = self._edges(edges)
+        edges = self.problem.edges if edges is None else edges
         centres = self.relative_mean(edges, projected=False)
         count = self.n_chains * self.n_draws
         k = np.count_nonzero(np.arange(1, count + 1) / count <= level)
@@ -96,6 +96,3 @@ class Posterior(Draws):
     def from_arviz(cls, data: Mapping[str, Any], problem: SyncProblem) -> "Posterior":
         """What :meth:`to_arviz` gave away, less all that has a default here (:func:`fmsync.adapters.from_arviz`)."""
         return cls(**vars(adapters.from_arviz(data, problem)))
-
-    def _edges(self, edges: np.ndarray | None) -> np.ndarray:
-        return self.problem.edges if edges is None else np.asarray(edges)

@@ -20,20 +20,19 @@ class ThreadPool:
         self._pool: ThreadPoolExecutor | None = None
 
     def parallel_for(self, work: Callable[[int, int], None], count: int) -> None:
-        """Call ``work(first, last)`` for parts of 0 .. count, at the same time.
+        """Call ``work(first, last)`` for parts of 0 .. count, at least one, at the same time.
 
         No part is still running when it returns, nor when it is left by Ctrl-C.
         """
         parts = min(self.size, count)
-        ends = np.arange(parts + 1) * count // max(parts, 1)
+        ends = np.arange(parts + 1) * count // parts
         others: list[Future[None]] = []
         if parts > 1:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.size - 1, thread_name_prefix="fmsync")
             others = [self._pool.submit(work, ends[k], ends[k + 1]) for k in range(1, parts)]
         try:
-            if parts:
-                work(ends[0], ends[1])
+            work(ends[0], ends[1])
         finally:
             wait(others)
         for other in others:

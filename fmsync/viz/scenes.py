@@ -66,8 +66,7 @@ class Scene(Shown):
 
     def html(self) -> str:
         """The built book holds one viewer for all its scenes; elsewhere (JupyterLab) each brings its own."""
-        width = int.from_bytes(self.png[16:20], "big")  # of the PNG header
-        height = int.from_bytes(self.png[20:24], "big")
+        width, height = (int.from_bytes(self.png[k : k + 4], "big") for k in (16, 20))  # of the PNG header
         still = image_tag(self.png, self.alt, 720)
         moving = ""
         if self.data is not None and os.environ.get("FMSYNC_SHARED_VIEWER"):
@@ -95,6 +94,8 @@ class Scene(Shown):
 def _drawable(name: str, mesh: Any) -> Any:
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise ValueError(f"{name}: expected a shape, got {type(mesh).__name__}")
+    if mesh.faces is None:
+        raise ValueError(f"{name} is a point cloud: only shapes with faces can be drawn")
     return mesh
 
 
@@ -154,9 +155,8 @@ def facing(mesh: Shape, vertex: int) -> Shape:
     >>> facing(Shape(np.eye(3), [[0, 1, 2]], "triangle"), 0).vertices.round(2)[2].tolist()
     [0.0, 0.0, 1.0]
     """
-    if mesh.faces is None:
-        raise ValueError("mesh is a point cloud: only shapes with faces have an outward direction")
-    corners = mesh.vertices[mesh.faces[np.any(mesh.faces == vertex, axis=1)]]  # (k, 3, 3)
+    faces = np.asarray(mesh.faces)
+    corners = mesh.vertices[faces[np.any(faces == vertex, axis=1)]]  # (k, 3, 3)
     x, y, _ = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)  # outward normal
     turn = np.arctan2(_VIEW[1], _VIEW[0]) - np.arctan2(y, x)
     c, s = np.cos(turn), np.sin(turn)
@@ -166,9 +166,6 @@ def facing(mesh: Shape, vertex: int) -> Shape:
 def _check(meshes: Sequence[Shape], alt: str, **given: Sequence[object] | None) -> None:
     if not len(meshes) or not alt.strip():
         raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
-    for k, mesh in enumerate(meshes):
-        if mesh.faces is None:
-            raise ValueError(f"meshes[{k}] is a point cloud: only shapes with faces can be drawn")
     for name, values in given.items():
         if values is not None and len(values) != len(meshes):
             raise ValueError(f"{name} has {len(values)} entries for {len(meshes)} meshes: give one each")
