@@ -82,12 +82,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _report(arguments: argparse.Namespace) -> int:
     from bench import results
-    from bench.report import draw_figures, report
+    from bench.report import report
 
-    frame = results.read(arguments.results / f"{arguments.suite}.parquet")
-    print(report(frame))
-    for path in draw_figures(frame, arguments.figures) if arguments.figures else ():
-        print(f"wrote {path}")
+    print(report(results.read(arguments.results / f"{arguments.suite}.parquet")))
     return 0
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bench import figures, methods, results
+from bench import methods, results
 from bench.metrics import root_mean_square
 from fmsync.bounds import is_small_error, recovery_threshold
 
 _PAPER = Path(__file__).with_name("paper_table1.csv")
 _OWN_ROWS = ["MLE (1) rounded", "observed", "spectral", "posterior mean", "Langevin posterior mean"]
-_MOST_PANELS = 6
 CONTROLS = ("observed", "identity", "haar-baseline")
 WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 _LEGEND = "ours [95 % interval] / paper; * = the printed number lies in the interval; ' = beyond the recovery "
@@ -139,7 +138,7 @@ def report(frame: pd.DataFrame) -> str:
     for name, label in (("commit", "commit "), ("machine", "machine "), ("versions", "")):
         told.append(label + "; ".join(sorted(filter(None, frame[name].dropna().unique()))))
     lines = ["\n".join(told)]
-    if _is_paper(frame):
+    if frame.suite.str.startswith("paper").all():
         for variant in protocol_variants(frame):
             wide = beside(table1(frame, **variant), interval=True)
             lines.append(f"{variant_name(**variant)}\n{_LEGEND}\n{wide.to_string()}")
@@ -154,30 +153,6 @@ def report(frame: pd.DataFrame) -> str:
         for row in failed.head(20).itertuples():
             lines.append(f"  {row.status}: {row.label} {_named(row.problem)} seed {row.seed}: {row.detail}")
     return "\n\n".join(lines)
-
-
-def draw_figures(frame: pd.DataFrame, folder: str | Path) -> list[Path]:
-    """Draw the figures of a suite as PNG files into a folder; gives their paths."""
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    if _is_paper(frame):
-        variants = protocol_variants(frame)
-        tables = {variant_name(**v): table1(frame, **v) for v in variants}
-        drawn = {"table1": figures.table1(tables), "density": figures.density(tables)}
-        drawn |= {"convergence": figures.convergence(frame), "oracle": figures.oracle(frame)}
-    else:
-        board = scoreboard(frame)
-        first = board.problem.drop_duplicates()[:_MOST_PANELS]
-        drawn = {"scoreboard": figures.error_against_seconds(board[board.problem.isin(first)])}
-        if frame.metric.eq("point_curve").any():
-            drawn["points"] = figures.point_curves(frame)
-    paths = {Path(folder, f"{frame.suite.iloc[0]}_{name}.png"): figure for name, figure in drawn.items()}
-    for path, figure in paths.items():
-        figure.savefig(path)
-    return list(paths)
-
-
-def _is_paper(frame: pd.DataFrame) -> bool:
-    return bool(frame.suite.str.startswith("paper").all())
 
 
 def _named(problem: str) -> str:

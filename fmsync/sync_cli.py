@@ -20,7 +20,7 @@ from fmsync.matching.conformal import default_calibration
 from fmsync.matching.map_files import read_maps
 from fmsync.matching.outliers import OutlierWarning
 from fmsync.matching.output import edge_table, transferred_tables, write_all
-from fmsync.matching.quality import quality_flags
+from fmsync.matching.report import quality_flags
 from fmsync.mesh_io import mesh_files, read_shape
 from fmsync.shape import Shape
 

@@ -261,8 +261,6 @@ def scale(solves: pd.DataFrame) -> Figure:
 
 def main() -> None:
     """Plant, observe, solve, sample and draw."""
-    story = compute()
-    save(three_panels(story), IMAGES / "overview.png")
     os.environ["FMSYNC_SHARED_VIEWER"] = "1"  # the page brings the script
     (IMAGES / "explorer.html").write_text(explorer().html() + "\n", encoding="utf-8")
     viz.style()
@@ -277,7 +275,7 @@ def main() -> None:
     maps["synchronised"] = fmsync.solve(noisy).relative([pair])[0]
     solves = pd.DataFrame(json.loads((ROOT / "results" / "speed.json").read_text())["speed"]["solves"])
     figures = {
-        "overview": three_panels(story),
+        "overview": three_panels(compute()),
         "sign_trap": sign_trap(shapes),
         "synchronisation": matched(two, {name: fmsync.point_map(c, *bases) for name, c in maps.items()}),
         "posterior": posterior(two, paw, fmsync.functional_maps.vertex_images(draws, *bases, paw)),

@@ -16,8 +16,7 @@ from fmsync.matching.confidence import Confidence, samples_to_vertices
 from fmsync.matching.conformal import ConformalCalibration
 from fmsync.matching.network import inlier_weights, trusted_part
 from fmsync.matching.pairwise import PairMatch
-from fmsync.matching.quality import quality_flags
-from fmsync.matching.report import report
+from fmsync.matching.report import quality_flags, report
 from fmsync.matching.samples import sample_shape
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.matching.transferred import transfer, transfer_landmarks

@@ -33,7 +33,7 @@ def test_smoke_suite_runs_is_cached_and_reports(tmp_path, capsys):
     assert main(["run", "smoke", "--jobs", "1", *places]) == 0
     assert time.perf_counter() - began < 10
     assert "finished already, 0 are left" in capsys.readouterr().out
-    assert main(["report", "smoke", "--results", str(tmp_path), "--figures", str(tmp_path)]) == 0
+    assert main(["report", "smoke", "--results", str(tmp_path)]) == 0
     assert "oracle" in capsys.readouterr().out
     assert main(["compare", str(tmp_path / "smoke.parquet"), str(tmp_path / "smoke.parquet")]) == 0
     assert "no difference" in capsys.readouterr().out

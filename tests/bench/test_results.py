@@ -191,22 +191,14 @@ def test_names_beside_a_figure_stay_apart_and_in_order():
     assert heights.max() <= 1
 
 
-def test_figures_show_the_tables(paper, tmp_path):
-    paths = report.draw_figures(paper, tmp_path)
-    assert {path.name for path in paths} == {
-        "paper_table1.png",
-        "paper_density.png",
-        "paper_convergence.png",
-        "paper_oracle.png",
-    }
-    assert all(path.stat().st_size > 5000 for path in paths)
+def test_figures_show_the_tables(paper):
     figure = figures.table1({"one": report.table1(paper, n_nodes=4)})
     mle = next(axis for axis in figure.axes if axis.get_title() == "MLE (2)")
     drawn = {line.get_label(): line.get_ydata() for line in mle.lines}
     np.testing.assert_allclose(drawn["the paper"], [2.08, 4.82])
     assert list(mle.containers[0].lines[0].get_ydata()) == pytest.approx([2.1, 5.1])
-    (board,) = report.draw_figures(frame([1.0, 2.0]), tmp_path)
-    assert board.name == "s_scoreboard.png"
+    for drawn in (figures.density({"one": report.table1(paper)}), figures.convergence(paper), figures.oracle(paper)):
+        assert any(len(axis.lines) for axis in drawn.axes)
 
 
 @pytest.mark.parametrize("name", ["robust.parquet", "calibration_coverage.csv", "speed.json"])

@@ -21,7 +21,7 @@ from fmsync.estimators import Estimate
 from fmsync.matching import output, synchronize
 from fmsync.matching.map_files import read_maps
 from fmsync.matching.network import posterior_draws, trusted_edges, unchecked_maps
-from fmsync.matching.quality import quality_flags
+from fmsync.matching.report import quality_flags
 from fmsync.shape import Basis, Shape
 from tests.matching.conftest import OPTIONS, QUICK, write_off
 from tests.samplers.test_tempered import twisted_ring

@@ -11,7 +11,7 @@ import fmsync
 from fmsync.cli import main
 from fmsync.matching import outliers, synchronize
 from fmsync.matching.outliers import OutlierWarning, among, groups
-from fmsync.matching.quality import quality_flags
+from fmsync.matching.report import quality_flags
 from fmsync.shape import Shape
 from tests.matching.conftest import write_off
 

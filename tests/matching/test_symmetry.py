@@ -10,7 +10,7 @@ import data_gen
 import fmsync
 from fmsync import so
 from fmsync.matching.conformal import default_calibration
-from fmsync.matching.quality import quality_flags
+from fmsync.matching.report import quality_flags
 from fmsync.shape import Shape
 
 QUICK = {"n_basis": 12, "n_refined": 30, "n_samples": 200, "n_draws": 200, "rng": 0}

@@ -11,7 +11,7 @@ from bench.own_shapes.confidence import planted_noise
 from fmsync.matching import fit_conformal, pairwise, synchronize
 from fmsync.matching.confidence import Confidence, local_distortion, two_modes
 from fmsync.matching.network import rotation_signs
-from fmsync.matching.quality import quality_flags
+from fmsync.matching.report import quality_flags
 from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators
 from fmsync.shape import Shape
 from tests.matching.conftest import OPTIONS
