@@ -1,0 +1,73 @@
+"""What a mesh file may contain is repaired where there is one right answer, and said; the rest is refused by name."""
+
+import numpy as np
+import pytest
+
+from fmsync.mesh_repair import repaired
+from fmsync.shape import triangle_areas
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])  # of a tetrahedron
+
+
+def moved(vertices, by, scale=1.0):
+    """Vertices elsewhere, smaller."""
+    return scale * vertices + by
+
+
+def test_a_sound_mesh_stays_as_it_is():
+    vertices, faces, said = repaired(CORNERS, FACES)
+    assert said == []
+    np.testing.assert_array_equal(vertices, CORNERS)
+    np.testing.assert_array_equal(faces, FACES)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "said"),
+    [
+        (np.vstack([CORNERS, CORNERS[2:3]]), np.vstack([FACES[:3], [[4, 0, 3]]]), "1 vertices lie exactly on others"),
+        (CORNERS, np.vstack([FACES, [[1, 1, 2]]]), "1 faces use a vertex twice"),
+        (CORNERS, np.vstack([FACES, [[1, 0, 2]]]), "1 faces repeat others"),
+        (np.vstack([CORNERS, [[2.0, 0, 0.5]]]), np.vstack([FACES, [[1, 2, 4]]]), "1 faces stood as fins"),
+        (
+            np.vstack([CORNERS, moved(CORNERS, 3, 0.1)]),
+            np.vstack([FACES, FACES + 4]),
+            "2 components; the largest, 99",
+        ),
+        (
+            np.vstack([CORNERS, [[9.0, 9, 9]]]),
+            FACES,
+            "1 vertices are on no face and were dropped",
+        ),
+    ],
+)
+def test_what_has_one_right_answer_is_repaired_and_said(vertices, faces, said):
+    found, triangles, told = repaired(vertices, faces)
+    assert any(line.startswith(said) for line in told)
+    np.testing.assert_array_equal(found, CORNERS)
+    assert {frozenset(face) for face in triangles.tolist()} == {frozenset(face) for face in FACES.tolist()}
+    assert triangle_areas(found, triangles).sum() == pytest.approx(triangle_areas(CORNERS, FACES).sum())
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "said"),
+    [
+        (CORNERS, [[0, 1, 4]], r"face 0 uses vertices \[0, 1, 4\] of 0..3"),
+        (CORNERS, [[1, 1, 2]], "no face with three different corners"),
+        (
+            np.vstack([CORNERS, moved(CORNERS, 3)]),
+            np.vstack([FACES, FACES + 4]),
+            "2 components, the largest with 50%",
+        ),
+        (np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), [[0, 1, 2]], "face 0 has no area"),
+        (np.vstack([CORNERS, [[2.0, 2, 2]]]), np.vstack([FACES, [[1, 2, 4], [2, 3, 4], [3, 1, 4]]]), "not a manifold"),
+    ],
+)
+def test_the_rest_is_refused_and_its_first_offender_named(vertices, faces, said):
+    with pytest.raises(ValueError, match=said):
+        repaired(vertices, np.array(faces))
+
+
+def test_only_a_manifold_need_be_one():
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    assert repaired(flat, np.array([[0, 1, 2]]), manifold=False)[2] == []
