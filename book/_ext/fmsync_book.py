@@ -298,7 +298,8 @@ def _fill(app, doctree, docname):
                 caption = next(iter(figure.findall(nodes.caption)), None)
                 if label and caption is not None:
                     number = app.config.numfig_format[kind] % ".".join(map(str, numbers[kind][label]))
-                    first = re.match(r".*?[.:](?=\s|$)|.*", caption.astext().replace("\n", " "))[0].rstrip(":")
+                    words = re.sub(r"\\(S?O)\{(\w)\}", r"\1(\2)", caption.astext().replace("\n", " "))
+                    first = re.match(r".*?\.(?=\s|$)|.*", words)[0]
                     row = nodes.paragraph("", "")
                     row += make_refnode(app.builder, docname, page, label, nodes.Text(number))
                     row += nodes.Text(f" {first}")
