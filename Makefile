@@ -26,10 +26,15 @@ book: setup
 	python scripts/build_book.py --jobs $(JOBS)
 
 # the rendered book in one file that opens from disk, _build/book.zip: the same pages give the same bytes
+# 1980, where the dates of zip files begin
+FIRST := 315532800
 book.zip: book
-	find _build/html -exec touch -d @$(or $(SOURCE_DATE_EPOCH),315532800) {} +
-	chmod -R u=rwX,go=rX _build/html
-	cd _build && TZ=UTC python -m zipfile -c book.zip html
+	rm -rf _build/fmsync-book && cp -r _build/html _build/fmsync-book
+	find _build/fmsync-book -name '.*' -type f -delete
+	date=$${SOURCE_DATE_EPOCH:-0}; test $$date -ge $(FIRST) || date=$(FIRST); \
+	  find _build/fmsync-book -exec touch -d @$$date {} +
+	chmod -R u=rwX,go=rX _build/fmsync-book
+	cd _build && TZ=UTC python -m zipfile -c book.part fmsync-book && mv book.part book.zip && rm -r fmsync-book
 
 test: lint unit notebook-test browser
 

@@ -5,7 +5,7 @@ import platform
 import re
 import subprocess
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 
 _VERSIONS = ("fmsync", "numpy", "scipy", "numba", "pymanopt", "geomstats", "pyfmaps")
@@ -22,7 +22,9 @@ def machine() -> str:
 @cache
 def versions() -> str:
     """Python and the libraries that results depend on."""
-    return ", ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _VERSIONS)])
+    found = {known.name: known.version for known in distributions()}
+    told = [f"{name} {found[name]}" for name in _VERSIONS if name in found]
+    return ", ".join([f"python {platform.python_version()}", *told])
 
 
 def current_commit() -> str:

@@ -35,17 +35,18 @@ book = _load("book/_ext/fmsync_book.py")
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
-def test_same_pages_same_archive_whatever_their_dates(tmp_path):
+@pytest.mark.parametrize("date", ["1790000000", "0", ""])
+def test_same_pages_same_archive_whatever_their_dates(tmp_path, date):
     html, packed = tmp_path / "_build" / "html", tmp_path / "_build" / "book.zip"
 
     def pack() -> bytes:
         command = ["make", "-f", ROOT / "Makefile", "-o", "book", "book.zip"]  # the book itself is taken as made
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        env = os.environ | {"PATH": path, "SOURCE_DATE_EPOCH": "1790000000"}
+        env = os.environ | {"PATH": path, "SOURCE_DATE_EPOCH": date}
         subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True)
         return packed.read_bytes()
 
-    for name in ("index.html", "chapters/one.html"):
+    for name in ("index.html", "chapters/one.html", ".buildinfo"):
         file = html / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(f"this is {name}")
@@ -56,7 +57,10 @@ def test_same_pages_same_archive_whatever_their_dates(tmp_path):
     (html / "index.html").write_text("changed")
     assert pack() != first
     with zipfile.ZipFile(packed) as archive:
-        assert archive.read("html/chapters/one.html") == b"this is chapters/one.html"
+        files = [name for name in archive.namelist() if not name.endswith("/")]
+        assert files == ["fmsync-book/chapters/one.html", "fmsync-book/index.html"]
+        assert archive.read(files[0]) == b"this is chapters/one.html"
+    assert [file.name for file in packed.parent.iterdir() if file.name != "html"] == ["book.zip"]
 
 
 def test_every_chapter_is_in_the_contents_once():

@@ -108,4 +108,4 @@ def test_methods_do_not_depend_on_their_rivals_but_on_what_they_take_from_them(m
     monkeypatch.setattr(caching, "_hash_of_code", lambda file: read.append(file.name) or file.name)
     caching.code_hash.__wrapped__("bench.problems", "bench.methods.consistent_zoomout")
     assert {"consistent_zoomout.py", "pyfm_network.py", "problems.py", "metrics.py"} <= set(read)
-    assert not {"convergence.py", "scipy_eigh.py"} & set(read)
+    assert not {"protocols.py", "scipy_eigh.py"} & set(read)
