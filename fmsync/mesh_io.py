@@ -147,19 +147,21 @@ def _polygons(rows: Rows, at: int = 0) -> np.ndarray:
 
 
 def _read_off(path: Path) -> Mesh:
-    rows = _rows(path.read_bytes())
-    head, words = rows[0][1] if rows else [""], [(line, word) for line, row in rows for word in row]
+    rows = everything = _rows(path.read_bytes())
+    head = rows[0][1] if rows else [""]
     found = re.fullmatch(r"(?:ST)?C?N?OFF(\d*)", head[0])
     if found is None or "BINARY" in head:
         raise ValueError(f"a text mesh in space begins with OFF, this one with {' '.join(head[:2])!r}: {_AGAIN}")
     counts = ([found[1]] if found[1] else []) + head[1:]  # some write the counts beside the keyword
     counts, rows = (counts, rows[1:]) if counts else (rows[1][1] if len(rows) > 1 else [], rows[2:])
-    if len(counts) < 2 or not all(word.isdecimal() for word in counts[:3]):
+    n_vertices, n_faces = map(int, counts[:2]) if "".join(counts[:2]).isdecimal() and len(counts) > 1 else (-1, -1)
+    size = 4 + 3 * n_vertices + 4 * n_faces
+    if len(rows) != n_vertices + n_faces and size == sum(len(row) for _, row in everything):  # not a line for each
+        words = [(line, word) for line, row in everything for word in row]
+        ends = [*range(4, size - 4 * n_faces, 3), *range(4 + 3 * n_vertices, size + 1, 4)]
+        rows, counts = [(words[a][0], [w for _, w in words[a:b]]) for a, b in itertools.pairwise(ends)], counts[:3]
+    if n_vertices < 0 or not "".join(counts).isdecimal():
         raise ValueError(f"the line of counts must hold the numbers of vertices, faces and edges, not {counts}")
-    n_vertices, n_faces = int(counts[0]), int(counts[1])
-    if len(rows) != n_vertices + n_faces and len(words) == 4 + 3 * n_vertices + 4 * n_faces:  # not a line for each
-        ends = [*range(4, len(words) - 4 * n_faces, 3), *range(4 + 3 * n_vertices, len(words) + 1, 4)]
-        rows = [(words[a][0], [word for _, word in words[a:b]]) for a, b in itertools.pairwise(ends)]
     for what, announced, there in (("vertices", n_vertices, len(rows)), ("faces", n_faces, len(rows) - n_vertices)):
         if there < announced:
             raise ValueError(f"{announced} {what} announced, the file ends after {there}: {_AGAIN}")

@@ -181,6 +181,7 @@ def test_marks_are_drawn_in_the_palette(no_gl):
         ({"titles": ["a", "b"]}, "titles has 2 entries"),
         ({"points": [[0], [1]]}, "points has 2 entries"),
         ({"meshes": [SimpleNamespace(vertices=np.zeros((4, 3)), faces=None)]}, r"meshes\[0\] is a point cloud"),
+        ({"meshes": [Shape(np.eye(3), None, "cloud")]}, r"meshes\[0\] is a point cloud"),
     ],
 )
 def test_bad_scenes_are_refused(arguments, message):

@@ -370,9 +370,9 @@ def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches:
 
 def _neighbours(shapes: Sequence[SampledShape], number: int) -> np.ndarray:
     """Pairs (E, 2) of every shape and so many others of nearest spectrum, connected."""
-    apart = spectral_distances(shapes)
-    nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : number + 1]
-    chosen = nx.minimum_spanning_tree(nx.from_numpy_array(apart))  # keeps the graph in one piece
+    apart = spectral_distances(shapes) + np.diag([np.inf] * len(shapes)) + 1e-12  # equal spectra are near, not absent
+    nearest = np.argsort(apart, axis=1, kind="stable")[:, : min(number, len(shapes) - 1)]
+    chosen = nx.minimum_spanning_tree(nx.from_numpy_array(np.triu(apart, 1)))  # keeps the graph in one piece
     chosen.add_edges_from((i, int(j)) for i in range(len(shapes)) for j in nearest[i])
     return np.array(sorted(map(sorted, chosen.edges)))
 

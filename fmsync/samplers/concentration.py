@@ -13,7 +13,8 @@ too; given all κ, m and then a are drawn from their tables. All steps are exact
 With a concentration λ for every basis function, uniform on [0, 1e5] each, :math:`p(Z)\propto\exp\sum\lambda_aZ_{aa}`.
 The normaliser is approximated by :math:`c_n(g)\exp(\sum\lambda_a-ng)`, g the geometric mean of the means of all pairs:
 exact where all λ are equal, for n = 2, and in the limit of small noise, where the entries of log Z are independent and
-normal with variances :math:`1/(\lambda_a+\lambda_b)`.
+normal with variances :math:`1/(\lambda_a+\lambda_b)`. For n = 20 means of Z_aa are within 2 % where λ falls from
+100 to 5, 29 % off from 20 to 2; it is too large where most λ are below one (n = 3, λ = 3, .01, .01: 2.2 for 1.2).
 """
 
 from functools import cache, cached_property
@@ -183,8 +184,8 @@ class EdgeConcentrations:
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self._problem = p = target.problem
         if target.kappa is not None:
-            told = "infers a concentration for every edge or function; leave them out"
-            raise ValueError(f"kappa, beta: likelihood={target.likelihood!r} {told}")
+            told = f"a concentration for every {target.likelihood.removeprefix('by-')}; leave them out"
+            raise ValueError(f"kappa, beta: likelihood={target.likelihood!r} infers {told}")
         start = target.matched_kappa("kappa", rng)
         self.kappas = np.full((n_chains, p.n if target.likelihood == "by-frequency" else p.n_edges), start)
         self._level = np.tile([len(SHAPES) // 2, np.searchsorted(MEANS, start)], (n_chains, 1))

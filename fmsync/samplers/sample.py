@@ -66,9 +66,9 @@ def sample(
       of every edge in ``edge_weights``. ``"by-edge"``, for the same two: every observation has its own κ, gamma
       distributed around a common mean, both inferred; its draws are ``kappas``. ``"by-frequency"``, for the same two:
       :math:`p(C_{ij})\propto\exp\operatorname{tr}(\Lambda C_{ij}^\top C_i^\top C_j)`, a κ for every basis function
-      on the diagonal of Λ, uniform on [0, 1e5]; its draws are ``kappas``, with an approximate normaliser
-      (``fmsync.samplers.concentration``). The last four need observations in SO(n), so that for matrices with noise
-      in every entry, which are not projected, there is ``"langevin"`` with κ = 1/σ² alone.
+      on the diagonal of Λ, uniform on [0, 1e5], in ``kappas``, with an approximate normaliser
+      (``fmsync.samplers.concentration``); tempered replicas of it rarely exchange. The last four need observations in
+      SO(n): for matrices with noise in every entry, not projected, there is ``"langevin"`` with κ = 1/σ² alone.
     * ``energy``: ``"euclidean"`` :math:`\sum w\lVert C_i^\top C_j-C_{ij}\rVert_F^2`, or, for all but ``"heat-bath"``,
       ``"geodesic"`` :math:`\sum w\lVert\log(C_{ij}^\top C_i^\top C_j)\rVert_F^2`.
     * ``callback``: called as ``callback(draw, state, energy)`` for every draw kept, with the (chains, N, n, n) where

@@ -155,7 +155,7 @@ def facing(mesh: Shape, vertex: int) -> Shape:
     >>> facing(Shape(np.eye(3), [[0, 1, 2]], "triangle"), 0).vertices.round(2)[2].tolist()
     [0.0, 0.0, 1.0]
     """
-    faces = np.asarray(mesh.faces)
+    faces = np.asarray(_drawable("mesh", mesh).faces)
     corners = mesh.vertices[faces[np.any(faces == vertex, axis=1)]]  # (k, 3, 3)
     x, y, _ = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)  # outward normal
     turn = np.arctan2(_VIEW[1], _VIEW[0]) - np.arctan2(y, x)
@@ -166,6 +166,8 @@ def facing(mesh: Shape, vertex: int) -> Shape:
 def _check(meshes: Sequence[Shape], alt: str, **given: Sequence[object] | None) -> None:
     if not len(meshes) or not alt.strip():
         raise ValueError("meshes or alt is empty: give at least one shape, and a sentence that says what is shown")
+    for k, mesh in enumerate(meshes):
+        _drawable(f"meshes[{k}]", mesh)  # the checks ask only what is no Shape
     for name, values in given.items():
         if values is not None and len(values) != len(meshes):
             raise ValueError(f"{name} has {len(values)} entries for {len(meshes)} meshes: give one each")

@@ -155,6 +155,14 @@ def test_finished_pairs_are_not_done_again(cats, tmp_path, monkeypatch):
     np.testing.assert_array_equal(again.refined, first.refined)
 
 
+def test_shapes_of_equal_spectrum_are_neighbours_of_each_other(cats):
+    twins = [cats[0], replace(cats[0], name="twin"), cats[1]]
+    edges = fmsync.synchronize_shapes(twins, n_draws=0, graph="k1", **OPTIONS).edges.tolist()
+    assert [0, 1] in edges
+    assert all(i < j for i, j in edges)
+    assert len(edges) == 2
+
+
 def test_neighbours_by_spectrum_stay_connected(cats):
     result = fmsync.synchronize_shapes(cats, n_draws=0, graph="k1", **OPTIONS)
     assert 3 <= len(result.edges) < 6
