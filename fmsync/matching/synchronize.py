@@ -244,9 +244,9 @@ def synchronize_shapes(
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
     synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
-    told = synced.problem, synced.estimate, synced.names, map_names, True
-    for said in network.unchecked_maps(*told) if given else ():
-        warnings.warn(said, stacklevel=3)
+    if given:
+        for said in network.unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, given=True):
+            warnings.warn(said, stacklevel=3)
     return replace(synced, outliers=tuple(dict.fromkeys(outliers)))
 
 
@@ -271,8 +271,8 @@ def synchronize_matches(
     used = np.arange(len(edges))
     if map_names:
         used = best_of_pairs(edges, matches, network.trusted_edges(problem, estimate))
-    given = network.trusted_part(problem, estimate, used), estimate, n_draws, rng, progress, bool(map_names)
-    posterior = network.posterior_draws(*given) if n_draws else None
+    part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
+    posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
     steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
     refined = upsample(shapes, edges[used], start, steps)

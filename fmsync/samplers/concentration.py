@@ -13,8 +13,8 @@ too; given all κ, m and then a are drawn from their tables. All steps are exact
 With a concentration λ for every basis function, uniform on [0, 1e5] each, :math:`p(Z)\propto\exp\sum\lambda_aZ_{aa}`.
 The normaliser is approximated by :math:`c_n(g)\exp(\sum\lambda_a-ng)`, g the geometric mean of the means of all pairs:
 exact where all λ are equal, for n = 2, and in the limit of small noise, where the entries of log Z are independent and
-normal with variances :math:`1/(\lambda_a+\lambda_b)`. For n = 20 means of Z_aa are within 2 % where λ falls from
-100 to 5, 29 % off from 20 to 2; it is too large where most λ are below one (n = 3, λ = 3, .01, .01: 2.2 for 1.2).
+normal with variances :math:`1/(\lambda_a+\lambda_b)`. It is too large where most λ are below one, which
+draws them towards each other.
 """
 
 from functools import cache, cached_property
@@ -230,7 +230,7 @@ def log_normaliser_by_frequency(own: np.ndarray, table: np.ndarray) -> float:
 def draw_by_frequency(own: np.ndarray, traces: np.ndarray, count: float, table: np.ndarray, state: np.ndarray) -> None:
     """Metropolis steps of log λ, in place, given the diagonal (n,) of the sum of ``count`` residual rotations."""
     n = len(own)
-    width = min(7 / np.sqrt(count * max(n - 1, 1)), 3.0)  # of a uniform step; 45 % are accepted
+    width = min(7 / np.sqrt(count * max(n - 1, 1)), 3.0)  # of a uniform step: some standard deviations
     before = own @ traces - count * log_normaliser_by_frequency(own, table)
     for k in range(_UPDATES * n):
         old, step = own[k % n], width * (2 * uniform(state) - 1)
