@@ -185,6 +185,14 @@ def _distances(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(squared, 0, out=squared), out=squared)
 
 
+def _closest(rows: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest centre of each row and its distance, a few rows at a time."""
+    parts = (_distances(rows[k : k + _BLOCK], centres) for k in range(0, len(rows), _BLOCK))
+    found = [(away.argmin(axis=1), away.min(axis=1)) for away in parts]
+    nearest, distance = (np.concatenate(part) for part in zip(*found))
+    return nearest, distance
+
+
 def _nearest_of_many(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Nearest rows, passing over groups of targets that are too far to hold one.
 
@@ -194,17 +202,17 @@ def _nearest_of_many(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
     rough, there = queries.astype(np.float32), targets.astype(np.float32)  # enough to tell what is far
     stride = max(1, int(len(there) ** 0.5 / 4))
     centres = there[::stride]  # (G, n), G about 4 √V
-    away = _distances(there, centres)
-    group, radius = away.argmin(axis=1), np.zeros(len(centres), np.float32)
+    (group, away), (closest, _) = _closest(there, centres), _closest(rough, centres)
+    radius = np.zeros(len(centres), np.float32)
     group[::stride] = np.arange(len(centres))  # also where centres fall together: no group is empty
-    np.maximum.at(radius, group, away[np.arange(len(there)), group])
-    away = _distances(rough, centres)  # (Q, G)
-    radius += 1e-3 * away.max()  # what single precision may lose: the root of 1e-7, and some more
-    closest, nearest = away.argmin(axis=1), np.empty(len(queries), dtype=np.int64)
+    np.maximum.at(radius, group, away)
+    radius += 2e-3 * np.sqrt(max((rows**2).sum(axis=1).max() for rows in (rough, there)))  # what single precision loses
+    nearest = np.empty(len(queries), dtype=np.int64)
     lifted, ones = _lifted(queries, targets)
     for g in np.unique(closest):
         mine = np.flatnonzero(closest == g)
         best = _distances(rough[mine], there[group == g]).min(axis=1)  # (Q_g,)
-        near = np.flatnonzero((away[mine] <= best[:, None] + radius).any(axis=0)[group])
+        away = _distances(rough[mine], centres)  # (Q_g, G)
+        near = np.flatnonzero((away <= best[:, None] + radius).any(axis=0)[group])
         nearest[mine] = near[(ones[mine] @ lifted[near].T).argmin(axis=1)]
     return nearest
