@@ -13,7 +13,7 @@ from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
-from fmsync.matching.pairwise import FINE, improve, match, zoomout
+from fmsync.matching.pairwise import FINE, match, zoomout
 from fmsync.matching.samples import SampledShape, farthest_points
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
@@ -106,15 +106,16 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     def relative(absolute: np.ndarray) -> Callable:
         return lambda i, j: absolute[i].T @ absolute[j]
 
+    def proposals(found: list) -> np.ndarray:
+        better = relative(synchronised(found)[0])
+        return np.array([better(i, j) for i, j in edges])
+
     matches = [match(light[i], light[j]) for i, j in edges]
     robust, problem, turn = synchronised(matches)
     plain = fmsync.solve(problem, "mle", tolerance=1e-3).absolute * turn
-    proposed = matches
     with cpu_seconds(seconds, "synchronised maps proposed to the pairs"):
-        for _ in range(synchronize.ROUNDS):
-            better = relative(synchronised(proposed)[0])
-            tried = [improve(light[i], light[j], better(i, j)) for i, j in edges]
-            proposed = [min(old, new, key=lambda x: x.cost) for old, new in zip(proposed, tried)]
+        each = synchronize.parallel(1, progress=False)
+        proposed = synchronize.with_proposals(each, light, edges, matches, proposals)
         start = synchronised(proposed)[0]
     own = both_ways(edges, matches)
 

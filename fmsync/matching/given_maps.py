@@ -162,7 +162,7 @@ def given_matches(
         read = []
         for i, j in ends:
             c = observed(g, shapes[i], shapes[j], None if bases is None else (bases[i], bases[j]))
-            read.append(improve(light[i], light[j], c, len(c)))
+            read.append(improve(light[i], light[j], c[None], len(c)))
         found.append(read[0])
         if read[-1].distortion < _REVERSED * read[0].distortion:
             turned.append(g.name)
@@ -189,7 +189,7 @@ def _doubt_bases(probes: Sequence[tuple[SampledShape, SampledShape, PairMatch]],
         left = np.copysign(1, np.linalg.svd(agreement)[0][:, 0])
         right = np.copysign(1, left @ agreement)
         signed = left[:, None] * given.c_ij[:n, :n] * right
-        turned += improve(first, second, signed, n).distortion < _REVERSED * given.distortion
+        turned += improve(first, second, signed[None], n).distortion < _REVERSED * given.distortion
         poor += own.distortion < _REVERSED * given.distortion
     made = "other bases than fmsync's" if ours else "other bases than those in bases="
     todo = "give point maps instead, or in Python the bases that they were computed in as bases="

@@ -70,12 +70,13 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored))
 
 
-def improve(first: SampledShape, second: SampledShape, c_ij: np.ndarray, size: int = FINE) -> PairMatch:
-    """A proposed map, upsampled to at most ``size`` and scored like the candidates of :func:`match`."""
+def improve(first: SampledShape, second: SampledShape, proposed: np.ndarray, size: int = FINE) -> PairMatch:
+    """The best of proposed maps (R, k, k), upsampled to at most ``size`` and scored like those of :func:`match`."""
     with single_threaded_blas():
-        maps, images = zoomout(first, second, c_ij[None], min(size, first.basis.n, second.basis.n), 6, _SAMPLES[2])
+        maps, images = zoomout(first, second, proposed, min(size, first.basis.n, second.basis.n), 6, _SAMPLES[2])
         distortion, orientation, _ = map_scores(first, second, maps, images)
-    return PairMatch(maps[0], float(distortion[0]), float(orientation[0]))
+    k = int(np.argmin(_costs(distortion, orientation, 0.0)))
+    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]))
 
 
 def zoomout(

@@ -32,7 +32,8 @@ from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 
-ROUNDS = 2  # of proposing synchronised maps to the pairs
+_ROUNDS = 2  # of proposing synchronised maps to the pairs
+_AROUND = 3  # maps through other shapes that are tried as well
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, median over the edges of a shape
 
@@ -351,12 +352,31 @@ def with_proposals(
     matches: list[PairMatch],
     propose: Callable[[list[PairMatch]], np.ndarray],
 ) -> list[PairMatch]:
-    """Maps of the edges, or what the network proposes for them (E, n, n) where that keeps distances better."""
-    for k in range(ROUNDS):
-        proposed = [(light[i], light[j], c) for (i, j), c in zip(edges, propose(matches))]
-        better = each(f"pairs again {k + 1}/{ROUNDS}", improve, proposed)
+    """Maps of the edges, or where that keeps distances better what the network proposes (E, n, n) or a way around."""
+    for k in range(_ROUNDS):
+        synchronised = propose(matches)
+        around = compositions(edges, matches, synchronised.shape[-1])
+        proposed = [(light[i], light[j], np.array([c, *c2])) for (i, j), c, c2 in zip(edges, synchronised, around)]
+        better = each(f"pairs again {k + 1}/{_ROUNDS}", improve, proposed)
         matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
     return matches
+
+
+def compositions(edges: np.ndarray, matches: Sequence[PairMatch], n: int) -> list[list[np.ndarray]]:
+    """For every edge (i, j) maps C_ik C_kj (n, n) through other shapes: where both look good, and first the best.
+
+    They repair a wrong map even where other wrong ones agree with it, which the synchronised maps would then follow.
+    """
+    found = {}
+    for (i, j), pair in zip(edges.tolist(), matches):
+        c = pair.c_ij[:n, :n]
+        found[i, j], found[j, i] = (pair.cost, c), (pair.cost, c.T)
+    ways = []
+    for i, j in edges.tolist():
+        through = [(found[i, k], found[k, j]) for k in range(edges.max() + 1) if (i, k) in found and (k, j) in found]
+        through.sort(key=lambda pair: max(cost for cost, _ in pair))
+        ways.append([first @ second for (_, first), (_, second) in through[:_AROUND]])
+    return ways
 
 
 def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches: Sequence[PairMatch]) -> None:

@@ -105,6 +105,27 @@ def test_zoomout_of_the_true_map_stays_there(synced):
     assert np.linalg.norm(reached - b.shape.vertices[a.samples], axis=1).mean() < 0.06
 
 
+def test_a_way_around_repairs_wrong_maps_that_agree_with_each_other(synced):
+    """A shape whose maps to two of three others are mirrored alike: each of these triangles closes."""
+    flip, n, light = data_gen.left_right_flip(1000), synced.problem.n, [s.light(pairwise.FINE) for s in synced.shapes]
+    own = synced.shapes[1].basis
+    turn, matches = own.coefficients(own.eigenfunctions[flip]), list(synced.matches)
+    for e, (i, j) in enumerate(synced.edges.tolist()):
+        if i == 1:
+            c = turn[:n, :n] @ matches[e].c_ij[:n, :n]
+            matches[e] = pairwise.improve(light[i], light[j], c[None])
+            assert matches[e].cost > synced.matches[e].cost + 0.02
+    each = synchronize.parallel(1, progress=False)
+    wrong = np.array([m.c_ij[:n, :n] for m in matches])
+    repaired = synchronize.with_proposals(each, light, synced.edges, matches, lambda _: wrong)
+    for found, right in zip(repaired, synced.matches, strict=True):
+        assert found.cost < right.cost + 0.01
+    ways = synchronize.compositions(synced.edges, synced.matches, n)
+    maps = {tuple(e): m.c_ij[:n, :n] for e, m in zip(synced.edges.tolist(), synced.matches)}
+    assert len(ways[0]) == 2  # from 0 to 1 through 2 and through 3
+    assert any(np.array_equal(c, maps[0, 2] @ maps[1, 2].T) for c in ways[0])
+
+
 def test_signs_are_found_and_wrong_edges_named():
     rng = np.random.default_rng(1)
     edges = np.array([(i, j) for i in range(8) for j in range(i + 1, 8)])
