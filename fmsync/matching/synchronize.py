@@ -174,10 +174,11 @@ def synchronize_shapes(
     """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
-    robust synchronisation; synchronised maps proposed to every pair, taken where they keep distances better; posterior
-    with inferred concentration; larger maps through functions that all shapes share. A shape in several pieces, inside
-    out or mirrored is a ValueError that names it; shapes of equal names become ``name (shape k)``. Shapes that are
-    unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
+    robust synchronisation; synchronised maps, and compositions through a third shape, proposed to every pair, taken
+    where they keep distances better; posterior with inferred concentration; larger maps through functions that all
+    shapes share. A shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names
+    become ``name (shape k)``. Shapes that are unlike the rest are named in a warning, or left out
+    (:mod:`fmsync.matching.outliers`).
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
