@@ -165,6 +165,14 @@ def test_colour_bar_shows_the_limits_and_the_label(no_gl):
     assert "height (m)" in shown.colour_bar
 
 
+@pytest.mark.parametrize("scalars", [None, [np.full((sphere().vertices.shape[0], 3), 0.5)]])
+def test_words_stand_below_shapes_without_values(no_gl, scalars):
+    shown = viz.scene([sphere()], scalars, alt="A ball.", label="red: <many>")
+    assert "red: &lt;many&gt;" in shown.html()
+    assert "gradient" not in shown.html()
+    assert "fm-bar" not in viz.scene([sphere()], scalars, alt="A ball.").html()
+
+
 def test_marks_are_drawn_in_the_palette(no_gl):
     image = pixels(viz.scene([sphere()], alt="A ball.", points=[[0, 800]], flat=True).png)
     wanted = np.array([int(viz.PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)])

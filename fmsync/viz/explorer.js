@@ -46,7 +46,7 @@
     <span class="region"><i></i><b></b></span><span class="right"><i></i>where it belongs</span></div>
     <p role="status" aria-live="polite"></p>
     <div class="controls"><fieldset><legend>What is shown</legend></fieldset>
-    <label class="slider">noise σ² <input type="range" min="0" step="1"><span aria-hidden="true"></span></label>
+    <label class="slider">map noise σ² <input type="range" min="0" step="1"><span aria-hidden="true"></span></label>
     <label class="slider">temperature <input type="range" min="0" step="1"><span aria-hidden="true"></span></label></div>
     </div><slot></slot>`.replace(/<b>/g, '<b style="font-weight:inherit">');
 
@@ -124,9 +124,10 @@
     pixel: `precision mediump float; varying vec3 normal, colour, eye; uniform vec3 ramp[5];
       void main() { vec3 n = normalize(normal), e = normalize(eye);
         float place = 3.0 * colour.x, edge = smoothstep(0.46, 0.54, colour.y);
+        float rim = edge * (1.0 - smoothstep(0.6, 0.72, colour.y)); // of the region, which the light would hide
         vec3 glow = mix(mix(ramp[0], ramp[1], min(place, 1.0)), ramp[2], clamp(place - 1.0, 0.0, 1.0));
         glow = mix(glow, ramp[3], clamp(place - 2.0, 0.0, 1.0));
-        vec3 ink = mix(mix(ramp[0], ramp[4], edge), glow, min(1.0, 6.0 * colour.x));
+        vec3 ink = mix(mix(ramp[0], ramp[4], edge), glow, min(1.0, 6.0 * colour.x) * (1.0 - rim));
         float light = 0.12 + 0.1 * n.y + 0.16 * max(dot(n, e), 0.0)` + LIGHTS.map(([d, power]) =>
         ` + ${power} * max(dot(n, vec3(${unit(d).map((x) => x.toFixed(4))})), 0.0)`).join("") + `;
         float shine = 0.1 * pow(max(dot(n, normalize(e + vec3(${unit(LIGHTS[0][0]).map((x) => x.toFixed(4))}))), 0.0), 24.0);
@@ -196,7 +197,8 @@
       light = (light * 1.25) ** 0.4545;
       const [bright, reach] = [0, 1].map((x) => corners.reduce((sum, v) => sum + values[3 * v + x], 0) / 765);
       const place = 3 * bright, k = Math.min(2, Math.floor(place)), under = ramp[reach > 0.5 ? 4 : 0];
-      const ink = under.map((x, c) => x + Math.min(1, 6 * bright) * (ramp[k][c] + (place - k) * (ramp[k + 1][c] - ramp[k][c]) - x));
+      const show = reach > 0.5 && reach < 0.66 ? 0 : Math.min(1, 6 * bright); // the rim of the region stays
+      const ink = under.map((x, c) => x + show * (ramp[k][c] + (place - k) * (ramp[k + 1][c] - ramp[k][c]) - x));
       g.fillStyle = g.strokeStyle = `rgb(${ink.map((x) => light * x)})`;
       g.beginPath();
       for (const v of corners) g.lineTo(seen[3 * v], seen[3 * v + 1]);
@@ -258,10 +260,10 @@
         temperature: state.temperature, image: images[0] });
       all("h4").forEach((h, k) => {
         h.textContent = names[k];
-        h.append(Object.assign(document.createElement("small"), { textContent: k === from ? " · click a place" : " · where it goes" }));
+        h.append(Object.assign(document.createElement("small"), { textContent: k === from ? " · click a place" : ` · where it goes, ${view}` }));
       });
       canvases.forEach((c, k) => c.setAttribute("aria-label", `${names[k]}: arrow keys choose a vertex, Shift and arrow keys turn the shapes`));
-      $(".glow + b").textContent = state.images === 1 ? "its image" : `its ${state.images} images`;
+      $(".glow + b").textContent = state.images === 1 ? "its image" : `its images under ${state.images} draws`;
       $(".region").hidden = !state.region;
       $(".region b").textContent = `region of ${level} %`;
       heat.disabled = options("temperature", (s) => s.view === view && s.temperature !== "").length < 2;

@@ -167,5 +167,5 @@ def heatmaps(
             ax.set(title=title, xticks=[], yticks=[])
             ax.grid(False)
             ax.spines[:].set_visible(False)
-        fig.colorbar(image, ax=axes, shrink=0.8)
+        fig.colorbar(image, ax=axes, shrink=0.8, label="entry")
         return picture(fig, alt)

@@ -117,8 +117,8 @@ def walk_on_sphere(points: ArrayLike, alt: str, *, frames: int = 20) -> Player:
 def _sphere(points: np.ndarray, total: int) -> Figure:
     x, y, depth = _seen(points)
     with mpl.style.context(STYLE):
-        fig, ax = plt.subplots(figsize=(3.4, 3.6))
-    ax.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), aspect="equal", title=f"step {len(points)} of {total}")
+        fig, ax = plt.subplots(figsize=(3.4, 3.6), subplot_kw={"xlim": (-1.08, 1.08), "ylim": (-1.08, 1.08)})
+    ax.set(aspect=1, title=f"a point moved by random rotations:\nstep {len(points)} of {total}, orange the last 15")
     ax.set_axis_off()
     ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
     turn = np.linspace(0, 2 * np.pi, 90)

@@ -55,7 +55,7 @@ class Scene(Shown):
     """A drawn scene: a still, and ``data``, the one that turns.
 
     ``data`` is a zipped vtk.js file, or None of an overview, or where only the still could be drawn. ``rows`` and
-    ``columns`` are those of the grid of panels with ``titles``; ``colour_bar`` is HTML, or an empty string.
+    ``columns`` are those of the grid of panels with ``titles``; ``colour_bar`` is HTML, its words too, or empty.
     """
 
     data: bytes | None
@@ -81,13 +81,14 @@ class Scene(Shown):
         grid = f"display:grid;grid-template:repeat({self.rows},1fr)/repeat({self.columns},1fr)"
         titles = "".join(f"<span>{html.escape(t)}</span>" for t in self.titles)
         overview = self.columns > 2
+        below = f'<figcaption class="fm-bar">{self.colour_bar}</figcaption>' if self.colour_bar else ""
         note = "" if self.data is not None or overview else f'<figcaption class="fm-note">{_NO_GL}</figcaption>'
         return (
             f'<figure class="fm-scene{" fm-overview" if overview else ""}" style="margin:0"><div class="fm-stage" '
             f'data-rows="{self.rows}" data-columns="{self.columns}" '
             f'style="position:relative;background:white;color:black;aspect-ratio:{width}/{height}">{still}{moving}'
             f'<div class="fm-titles" style="position:absolute;inset:0;pointer-events:none;text-align:center;{grid}">'
-            f"{titles}</div></div>{self.colour_bar}{note}</figure>"
+            f"{titles}</div></div>{below}{note}</figure>"
         )
 
 
@@ -119,8 +120,8 @@ def scene(
       shows at most 10,000 vertices, and every one of them takes the colour of the nearest given vertex.
     * ``scalars``: K arrays, each (V,) for ``cmap`` or (V, 3) red-green-blue in [0, 1]; None draws plain grey shapes.
     * ``titles``, ``alt``: K strings, by default the ``name`` of each mesh, and a sentence or two on what is shown.
-    * ``cmap``, ``clim``, ``label``: colour map, its limits (by default the range of all scalars), and what the colour
-      bar is called.
+    * ``cmap``, ``clim``, ``label``: colour map, its limits (by default the range of all scalars), and what the colours
+      mean, in words below.
     * ``points``: K arrays of vertex numbers to mark; the k-th mark has the same colour on every shape.
     * ``flat``: light evenly, so that a colour means the same everywhere: for uncertainties.
     * ``columns``: shapes in a row. More than two are too small to turn and make an overview, which is a still.
@@ -140,8 +141,8 @@ def scene(
     columns = min(columns, count)
     rows = -(-count // columns)
     across, upward, near = (np.concatenate([v for v, _, _, _ in panels]) @ AXES).T
-    aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6))  # of one panel
-    # every vertex inside its panel, and room for the title
+    aspect = float(np.clip(np.ptp(across) / np.ptp(upward), 0.75, 1.6 if columns < 4 else 1.05))  # of one panel
+    # every vertex inside its panel, and room for the title, which is no smaller in a small one
     distance = 1.16 * (near + np.maximum(np.abs(upward), np.abs(across) / aspect) / _TAN).max()
     size = (_PIXELS, round(_PIXELS / columns / aspect) * rows)
     png, data = (_draw_vtk if can_render() else _draw_still)(panels, rows, columns, size, distance, flat)
@@ -188,16 +189,17 @@ def _choose_egl() -> None:
 def _colours(
     meshes: Sequence[Shape], scalars: Sequence[ArrayLike] | None, cmap: str, clim: Limits, label: str
 ) -> tuple[list[np.ndarray], str]:
-    """One (V, 3) array a mesh, and the HTML of the colour bar when there are values to read off."""
+    """One (V, 3) array a mesh, and in HTML the colour bar, when there are values to read off, and its words."""
+    caption = f'<div style="text-align:center">{html.escape(label)}</div>' if label else ""
     if scalars is None:
-        return [np.tile(_GREY, (len(m.vertices), 1)) for m in meshes], ""
+        return [np.tile(_GREY, (len(m.vertices), 1)) for m in meshes], caption
     given = [np.asarray(s, dtype=float) for s in scalars]
     for k, (m, s) in enumerate(zip(meshes, given)):
         if s.shape not in ((len(m.vertices),), (len(m.vertices), 3)):
             raise ValueError(f"scalars[{k}] has shape {s.shape}: give (V,) or (V, 3) with V = {len(m.vertices)}")
     values = [s.ravel() for s in given if s.ndim == 1]
     if not values:
-        return [np.clip(s, 0, 1) for s in given], ""
+        return [np.clip(s, 0, 1) for s in given], caption
     if clim is None:
         clim = (min(v.min() for v in values), max(v.max() for v in values))
     norm, table = Normalize(clim[0], clim[1], clip=True), mpl.colormaps[cmap]
@@ -205,9 +207,7 @@ def _colours(
     stops = ",".join(mpl.colors.to_hex(table(t)) for t in np.linspace(0, 1, 12))
     bar = f'<span style="flex:1;height:.7em;background:linear-gradient(90deg,{stops})"></span>'
     ends = [f"{c:.3g}".replace("-", "−") for c in clim]
-    caption = f'<div style="text-align:center">{html.escape(label)}</div>' if label else ""
-    row = f'<div style="display:flex;gap:.6em;align-items:center">{ends[0]}{bar}{ends[1]}</div>'
-    return colours, f'<figcaption class="fm-bar">{row}{caption}</figcaption>'
+    return colours, f'<div style="display:flex;gap:.6em;align-items:center">{ends[0]}{bar}{ends[1]}</div>{caption}'
 
 
 def _panel(mesh: Shape, colours: np.ndarray, marks: np.ndarray, limit: int) -> Panel:
