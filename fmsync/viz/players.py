@@ -118,7 +118,8 @@ def _sphere(points: np.ndarray, total: int) -> Figure:
     x, y, depth = _seen(points)
     with mpl.style.context(STYLE):
         fig, ax = plt.subplots(figsize=(3.4, 3.6), subplot_kw={"xlim": (-1.08, 1.08), "ylim": (-1.08, 1.08)})
-    ax.set(aspect=1, title=f"a point moved by random rotations:\nstep {len(points)} of {total}, orange the last 15")
+    told = f"step {len(points)} of {total} by random rotations:\nthe last 15 orange, those before blue"
+    ax.set(aspect=1, title=told)
     ax.set_axis_off()
     ax.add_patch(Circle((0, 0), 1, facecolor="#f2f5f8", edgecolor="#8a97a5"))
     turn = np.linspace(0, 2 * np.pi, 90)
