@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"fmsync: {len(shapes)} shapes, in this order: {', '.join(names)}", file=sys.stderr)
             counts = {f"n_{name}": getattr(options, name) for name in ("basis", "refined", "samples", "draws")}
             stage = {"jobs": options.jobs, "checkpoint": work / "pairs", "progress": progress, "rng": options.seed}
-            chosen = {name: getattr(options, name) for name in ("graph", "drop_outliers")}
+            chosen = {name: getattr(options, name) for name in ("graph", "drop_outliers", "fast")}
             given = {"maps": maps, "landmarks": landmarks, **chosen, **counts, **stage}
             try:
                 synced = fmsync.matching.synchronize_shapes(shapes, **given)

@@ -98,6 +98,9 @@ def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values
     return min(both, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))
 
 
-def sizes(k: int, size: int) -> list[int]:
-    """Sizes of the maps on the way from k to ``size``."""
-    return [*range(k + _STEP, size, _STEP), *[size] * (1 + _SETTLE)]
+def sizes(k: int, size: int, fast: bool = False) -> list[int]:
+    """Sizes of the maps on the way from k to ``size``: five functions more at a time, or with ``fast`` 30 %."""
+    found = []
+    while (k := round(1.3 * k) if fast else k + _STEP) < size:
+        found.append(k)
+    return found + [size] * (1 + _SETTLE)

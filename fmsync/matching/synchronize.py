@@ -169,6 +169,7 @@ def synchronize_shapes(
     checkpoint: str | Path | None = None,
     progress: bool = False,
     drop_outliers: bool = False,
+    fast: bool = False,
     rng: int | np.random.Generator = 0,
 ) -> SyncedShapes:
     """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
@@ -201,7 +202,7 @@ def synchronize_shapes(
     * ``jobs``, ``checkpoint``: processes of the pairwise stage, through joblib and its active backend; folder of pairs
       that are finished. ``progress`` shows a bar for each long stage.
     * ``drop_outliers``: leave out shapes that do not belong: by their spectra or, for ``n_refined`` >= 50, by how their
-      maps distort.
+      maps distort. ``fast``: larger steps in the last stage.
 
     >>> import data_gen, fmsync
     >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
@@ -245,7 +246,7 @@ def synchronize_shapes(
 
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
-    synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names)
+    synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names, fast)
     if given:
         for said in network.unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, given=True):
             warnings.warn(said, stacklevel=3)
@@ -263,6 +264,7 @@ def synchronize_matches(
     rng: int | np.random.Generator,
     progress: bool = False,
     map_names: tuple[str, ...] = (),
+    fast: bool = False,
 ) -> SyncedShapes:
     """The last stages of :func:`synchronize_shapes`, from maps of the pairs (E, 2): give it other maps to compare.
 
@@ -276,7 +278,7 @@ def synchronize_matches(
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
-    steps = tqdm(sizes(n_basis, n_refined), "refinement", disable=not progress)
+    steps = tqdm(sizes(n_basis, n_refined, fast), "refinement", disable=not progress)
     refined = upsample(shapes, edges[used], start, steps)
     return SyncedShapes(
         tuple(shapes), edges, tuple(matches), signs, violating, problem, estimate, posterior, refined, map_names, used

@@ -17,6 +17,12 @@ def rng():
     return np.random.default_rng(0)
 
 
+def test_sizes_grow_to_the_last_one_and_stay():
+    assert latent.sizes(20, 40) == [25, 30, 35, 40, 40, 40]
+    assert latent.sizes(20, 50, fast=True) == [26, 34, 44, 50, 50, 50]
+    assert latent.sizes(20, 20) == [20, 20, 20]
+
+
 def consistent(rng, dim):
     """Maps C_ij = A_i^T A_j of rank ``dim``, determinants of either sign."""
     frames = np.linalg.qr(rng.standard_normal((COUNT, SIZE, SIZE)))[0][:, :dim]

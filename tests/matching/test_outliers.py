@@ -106,7 +106,7 @@ def test_a_graph_of_neighbours_tells_outliers_too(own, strangers):
 def test_the_command_leaves_outliers_out(own, plank, tmp_path, capsys):
     files = [str(write_off(tmp_path / f"{s.name}.off", s.vertices, s.faces)) for s in [plank, *own[:2]]]
     quick = ["--basis", "10", "--refined", "20", "--samples", "120", "--draws", "40", "--jobs", "1", "--json"]
-    assert main(["sync", *files, "-o", str(tmp_path / "out"), "--drop-outliers", *quick]) == 0
+    assert main(["sync", *files, "-o", str(tmp_path / "out"), "--drop-outliers", "--fast", *quick]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["left_out"] == summary["outliers"] == ["plank"]
     assert [shape["file"] for shape in summary["shapes"]] == files[1:]
