@@ -183,6 +183,7 @@ def said(seen: Observed, mirrored: Evaluation) -> dict[tuple[str, str], np.ndarr
         for kind, (phrase, who) in SAID.items()
     }
     given["given up"] = "pairs", inlier_weights(synced.estimate) < 0.5
+    given["orientation below a half (not said)"] = "pairs", np.array([m.orientation < 0.5 for m in synced.matches])
     double = [seen.evaluation.at(i, known.two_modes.astype(float)) > 0.5 for (i, _), known in zip(pairs, seen.known)]
     given["two candidate places"] = "vertices", np.concatenate(double)
     return {

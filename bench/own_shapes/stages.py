@@ -14,7 +14,7 @@ from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, improve, match, zoomout
-from fmsync.matching.samples import SampledShape, farthest_points
+from fmsync.matching.samples import SampledShape
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
 
@@ -69,18 +69,6 @@ def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:
     """Ordered pairs of ``count`` shapes, evenly from all."""
     ordered = [(i, j) for i in range(count) for j in range(count) if i != j]
     return [ordered[k] for k in np.linspace(0, len(ordered) - 1, min(most, len(ordered))).astype(int)]
-
-
-def remeshed(loaded: dict[str, list[Shape]], n_landmarks: int = 0, **options) -> dict:
-    """Errors on copies of shapes with triangulations of their own; landmarks are far from each other."""
-    found = {}
-    for name, shapes in loaded.items():
-        marks = np.tile(farthest_points(shapes[0].vertices, 4), (len(shapes), 1))
-        copies, vertices = decimated(shapes, np.column_stack([marks, evaluation_vertices(shapes)]))
-        landmarks = vertices[:, :n_landmarks] if n_landmarks else None
-        synced = fmsync.synchronize_shapes(copies, rng=0, n_draws=0, landmarks=landmarks, **options)
-        found[name] = stages(synced, Evaluation(synced.shapes, vertices[:, 4:]), peers=True)
-    return found
 
 
 def decimated(shapes: list[Shape], vertices: np.ndarray, share: float = 0.2) -> tuple[list[Shape], np.ndarray]:
