@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import joblib
 import pandas as pd
@@ -48,10 +49,10 @@ def coverage(rows: pd.DataFrame, columns: Mapping[float, str]) -> dict[str, floa
     return found
 
 
-def kept_results(work: Callable[[int], object], numbers: Iterable[int], folder: Path, jobs: int = 2) -> list:
-    """``work(number)`` of all numbers, from ``folder`` what was made there before by the same code of ``work``."""
+def kept_results(work: Callable[[Any], object], tasks: Iterable[object], folder: Path, jobs: int = 2) -> list:
+    """``work(task)`` of all tasks, from ``folder`` what was made there before by the same code of ``work``."""
     kept = joblib.Memory(folder, verbose=0).cache(work)
-    return joblib.Parallel(jobs)(joblib.delayed(kept)(k) for k in numbers)
+    return joblib.Parallel(jobs)(joblib.delayed(kept)(task) for task in tasks)
 
 
 def fill(

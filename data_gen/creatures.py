@@ -1,5 +1,6 @@
 """Random species: near-isometric poses of an articulated body that a seed draws, on one triangulation or on many."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ _CLEARANCE = 0.012  # thickening by which no limbs grow together
 _LLOYD_STEPS = 10
 _EASE = 0.9  # share of the joint angles that is kept from one try to the next
 _DRAWS = 40  # tries to find a body, a mesh or a pose
-_ARRAYS = ("vertices", "faces", "common", "opposite", "located")
+_ARRAYS = ("vertices", "faces", "common", "opposite", "located", "part")
 _TONE = 0.12  # thickness of tense and slack flesh differs this much from rest
 
 
@@ -32,12 +33,14 @@ class Creature(Shape):
 
     ``common`` (V,) is the point of the body, of K, at each vertex; ``opposite`` (V,) the point on the other side of it;
     ``located`` (K,) the vertex nearest to each point of the body. The true map from ``a`` to ``b`` is
-    ``b.located[a.common]``, and that of left and right ``b.located[a.opposite]``.
+    ``b.located[a.common]``, and that of left and right ``b.located[a.opposite]``. ``part`` (V,) is ``"limb"``,
+    ``"tail"`` or ``"trunk"``, with neck and head, by the bone that moves the vertex most.
     """
 
     common: np.ndarray = None
     opposite: np.ndarray = None
     located: np.ndarray = None
+    part: np.ndarray = None
 
 
 @checks.checked(species=">= 0", seed=">= 0")
@@ -83,15 +86,18 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed):
         corners = vstack([corners, corners[edges[:, 0]] + corners[edges[:, 1]]], format="csr")
     located = np.asarray(corners.argmax(axis=1), dtype=np.int64).ravel()  # the nearest vertex, of equals the first
     arrays, stems = {}, [bone.name.rstrip("0123456789") for bone in body.bones]
+    kinds = ["tail" if s == "tail" else "limb" if re.search("leg|arm|fin", s) else "trunk" for s in stems]
+    part = np.array(kinds)[rig.weights.argmax(axis=1)]
     for k in range(count):
         rng = np.random.default_rng([seed, species, k])
         signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
         tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
         eases = (_EASE**attempt for attempt in range(_DRAWS))  # each draw is bent a little less than the one before
         draws = ((body.pose(rng, ease), ease * tone) for ease in eases)
-        fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located
+        fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located, part
         if remeshed:
             fields = _remeshed(*fields[:2], levels, n_vertices, rng)
+            fields = *fields, part[located[fields[2]]]
         arrays |= {f"{name}{k}": a for name, a in zip(_ARRAYS, fields)}
     return arrays
 

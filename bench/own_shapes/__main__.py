@@ -5,13 +5,13 @@ The order serves for evaluation, never for maps. Each part is a command, and add
 * ``python -m bench.own_shapes collections tosca_cat cats``: errors and CPU seconds of the stages, for the first
   collection beside pyFM; coverage of regions as they come, and calibrated on the other collection; errors of the
   vertices that are retained.
-* ``... remeshed tosca_cat``, ``... landmarks tosca_cat``: errors on copies with triangulations of their own, without
-  and with four landmarks; ``... planted cats``: coverage where the model is right; ``... likelihoods cats creatures
-  tosca_cat``: do concentrations by edge or frequency rank vertices better; ``... given tosca_cat``: what
-  synchronisation makes of pyFM's maps, right and spoiled, on these and on random species.
+* ``... planted cats``: coverage where the model is right; ``... likelihoods cats creatures tosca_cat``: do
+  concentrations by edge or frequency rank vertices better; ``... given tosca_cat``: what synchronisation makes of
+  pyFM's maps, right and spoiled, on these and on random species.
 * ``python -m bench.own_shapes species``: coverage over random species, of which nothing else is read; ``... refit --out
   fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species; ``... outliers``:
-  how many shapes that do not belong to a folder are found, and how many others are named.
+  how many shapes that do not belong to a folder are found, and how many others are named; ``... matching``: errors
+  beside pyFM and the bound, regions by part of the body and rates of warnings, on species in four variants.
 
 A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """
@@ -19,21 +19,22 @@ A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths a
 import argparse
 from pathlib import Path
 
-from bench.own_shapes import confidence, given, outliers, species
-from bench.own_shapes.stages import remeshed
+from bench.own_shapes import confidence, given, matching, outliers, species
 from bench.studies import add_part
 from data_gen import load_collection
 
 PARTS = {
     "collections": confidence.collections,
-    "remeshed": remeshed,
-    "landmarks": lambda loaded: remeshed(loaded, n_landmarks=4),
     "planted": confidence.planted,
     "likelihoods": confidence.likelihoods,
     "given": given.table,
 }
 _KEPT = Path("_build/species")  # points of finished species
-_MAKES = {"species": lambda: species.table(_KEPT), "outliers": lambda: outliers.table(_KEPT.with_name("outliers"))}
+_MAKES = {
+    "species": lambda: species.table(_KEPT),
+    "outliers": lambda: outliers.table(_KEPT.with_name("outliers")),
+    "matching": lambda: matching.table(_KEPT.with_name("matching")),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -14,7 +14,7 @@ from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, match, zoomout
-from fmsync.matching.samples import SampledShape, farthest_points
+from fmsync.matching.samples import SampledShape
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
 
@@ -24,12 +24,14 @@ _STEP = 5  # functions that pyFM adds at a time
 class Evaluation:
     """Geodesic distances from the true images of some vertices, by the heat method on the full meshes.
 
-    ``vertices`` (N, P) are the evaluation vertices of every shape: the same point of the surface in every column.
+    ``vertices`` (N, P) are the evaluation vertices of every shape: the same point of the surface in every column. They
+    belong at those of the other shapes, or at ``images`` (N, P).
     """
 
-    def __init__(self, shapes: Sequence[SampledShape], vertices: np.ndarray):
+    def __init__(self, shapes: Sequence[SampledShape], vertices: np.ndarray, images: np.ndarray | None = None):
         self.shapes, self.vertices = shapes, vertices
-        self.distances = [geodesics_from(s.shape, own) for s, own in zip(shapes, vertices)]
+        true = vertices if images is None else images
+        self.distances = [geodesics_from(s.shape, own) for s, own in zip(shapes, true)]
 
     def errors(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
         """(P,) distance on shape j from where the evaluation vertices of i are sent to where they belong.
@@ -67,18 +69,6 @@ def some_pairs(count: int, most: int = 22) -> list[tuple[int, int]]:
     """Ordered pairs of ``count`` shapes, evenly from all."""
     ordered = [(i, j) for i in range(count) for j in range(count) if i != j]
     return [ordered[k] for k in np.linspace(0, len(ordered) - 1, min(most, len(ordered))).astype(int)]
-
-
-def remeshed(loaded: dict[str, list[Shape]], n_landmarks: int = 0, **options) -> dict:
-    """Errors on copies of shapes with triangulations of their own; landmarks are far from each other."""
-    found = {}
-    for name, shapes in loaded.items():
-        marks = np.tile(farthest_points(shapes[0].vertices, 4), (len(shapes), 1))
-        copies, vertices = decimated(shapes, np.column_stack([marks, evaluation_vertices(shapes)]))
-        landmarks = vertices[:, :n_landmarks] if n_landmarks else None
-        synced = fmsync.synchronize_shapes(copies, rng=0, n_draws=0, landmarks=landmarks, **options)
-        found[name] = stages(synced, Evaluation(synced.shapes, vertices[:, 4:]), peers=True)
-    return found
 
 
 def decimated(shapes: list[Shape], vertices: np.ndarray, share: float = 0.2) -> tuple[list[Shape], np.ndarray]:
@@ -140,45 +130,61 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     return {"mean_geodesic_error": errors, "cpu_seconds": seconds}
 
 
-def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, errors: dict, seconds: dict) -> None:
-    """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of our maps before and after synchronisation."""
-    from pyFM.FMN import FMN
-    from pyFM.functional import FunctionalMapping
-    from pyFM.refine.zoomout import zoomout_refine
+class Pyfm:
+    """pyFM on the bases and samples of our shapes; its maps are our C_ij."""
 
-    n, m, edges, pairs = synced.problem.n, synced.refined.shape[-1], synced.edges, some_pairs(len(synced.shapes))
-    fine, samples = min(FINE, m), np.array([s.samples for s in synced.shapes])
-    meshes = [to_pyfm(s.shape, s.basis) for s in synced.shapes]
+    def __init__(self, shapes: Sequence[SampledShape]):
+        self.meshes = [to_pyfm(s.shape, s.basis) for s in shapes]
+        self._samples = np.array([s.samples for s in shapes])
 
-    def fit(i: int, j: int) -> np.ndarray:
-        model = FunctionalMapping(meshes[j], meshes[i])  # pyFM maps from its first mesh: our C_ij has j first
-        model.add_descriptors(synced.shapes[j].descriptors, synced.shapes[i].descriptors)
-        model.fit(K=(n, n))  # its own default weights
-        return model.FM_12
+    def model(self, i: int, j: int):
+        """A ``FunctionalMapping`` to fit: pyFM maps from its first mesh, our C_ij has j first."""
+        from pyFM.functional import FunctionalMapping
 
-    def refine(i: int, j: int) -> np.ndarray:
-        options = {"nit": (fine - n) // _STEP, "step": _STEP, "subsample": (samples[j], samples[i])}
-        return zoomout_refine(fitted[i, j], meshes[j].eigenvectors, meshes[i].eigenvectors, **options)
+        return FunctionalMapping(self.meshes[j], self.meshes[i])
 
-    def consistent(start: dict, size: int) -> dict:
-        network = FMN(meshes)
+    def zoomout(self, i: int, j: int, start: np.ndarray, size: int) -> np.ndarray:
+        """A map upsampled to ``size`` functions."""
+        from pyFM.refine.zoomout import zoomout_refine
+
+        vectors, samples = zip(*((self.meshes[k].eigenvectors, self._samples[k]) for k in (j, i)))
+        return zoomout_refine(start, *vectors, nit=(size - len(start)) // _STEP, step=_STEP, subsample=samples)
+
+    def consistent(self, start: dict, n: int, size: int) -> dict[tuple[int, int], np.ndarray]:
+        """Consistent ZoomOut of maps both ways, cut to n functions, to ``size``."""
+        from pyFM.FMN import FMN
+
+        network = FMN(self.meshes)
         network.set_maps({(j, i): c[:n, :n].copy() for (i, j), c in start.items()})
-        network.set_subsample(samples)
+        network.set_subsample(self._samples)
         network.M = n
         while size > network.M:
             network.zoomout_iteration(int(0.9 * network.M), network.M, network.M + _STEP, weight_type="icsm")
         return {(i, j): np.array(c) for (j, i), c in network.maps.items()}
 
+
+def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, errors: dict, seconds: dict) -> None:
+    """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of our maps before and after synchronisation."""
+    n, m, edges, pairs = synced.problem.n, synced.refined.shape[-1], synced.edges, some_pairs(len(synced.shapes))
+    fine, pyfm = min(FINE, m), Pyfm(synced.shapes)
+
+    def fit(i: int, j: int) -> np.ndarray:
+        model = pyfm.model(i, j)
+        model.add_descriptors(synced.shapes[j].descriptors, synced.shapes[i].descriptors)
+        model.fit(K=(n, n))  # its own default weights
+        return model.FM_12
+
     with single_threaded_blas():
         fitted = {(i, j): fit(i, j) for i, j in [*edges.tolist(), *edges[:, ::-1].tolist()]}
         errors["pyFM pairwise"] = evaluation.mean(pairs, lambda i, j: fitted[i, j])
-        errors["pyFM pairwise + ZoomOut"] = evaluation.mean(pairs, refine)
+        zoomed = evaluation.mean(pairs, lambda i, j: pyfm.zoomout(i, j, fitted[i, j], fine))
+        errors["pyFM pairwise + ZoomOut"] = zoomed
         own, after = both_ways(edges, matches), both_ways(edges, synced.matches)
         starts = [("its own fit", fitted, fine), ("our pairwise maps", own, fine), ("our pairwise maps", own, m)]
         for name, start, size in [*starts, ("our pairs after proposals", after, fine)]:
             key = f"pyFM Consistent ZoomOut to {size} from {name}"
             with cpu_seconds(seconds, key):
-                maps = consistent(start, size)
+                maps = pyfm.consistent(start, n, size)
             errors[key] = evaluation.mean(pairs, lambda i, j, maps=maps: maps[i, j])
 
 

@@ -12,7 +12,7 @@ import data_gen
 import fmsync
 from bench import calibration_coverage, prior_coverage, studies
 from bench.own_shapes import __main__ as own_shapes
-from bench.own_shapes import confidence, outliers, species, stages
+from bench.own_shapes import confidence, matching, outliers, species, stages
 
 OPTIONS = {"n_basis": 10, "n_refined": 30, "n_samples": 120, "n_draws": 40}
 
@@ -185,3 +185,83 @@ def test_rates_of_outliers_are_those_of_the_folders(monkeypatch, tmp_path):
     assert test["found of cat"] == {"mean": 0.5, "se": pytest.approx(0.5 / np.sqrt(31)), "shapes": 32, "folders": 32}
     assert test["false alarms"] == {"mean": 0.0, "se": 0.0, "shapes": 192, "folders": 32}
     assert test["false alarms without outliers"]["shapes"] == 192
+
+
+@pytest.fixture(scope="module")
+def creatures():
+    return data_gen.load_collection("creatures", species=2, count=3, n_vertices=1000, remeshed=True)
+
+
+def test_a_creature_with_holes_is_one_piece_that_knows_what_is_left(creatures):
+    whole, rng = creatures[0], np.random.default_rng(0)
+    cut = matching.with_holes(whole, rng)
+    assert cut.area == pytest.approx(0.95 * whole.area, rel=0.005)
+    edges, count = np.unique(fmsync.shape.edges_of_faces(cut.faces), axis=0, return_counts=True)
+    assert set(count) == {1, 2}
+    assert len(np.unique(edges)) == cut.n_vertices == len(cut.common) == len(cut.opposite) == len(cut.part)
+    assert len(fmsync.laplace_beltrami(cut.vertices, cut.faces, 10).eigenvalues) == 10  # which refuses pieces
+    np.testing.assert_array_equal(cut.located[cut.common], np.arange(cut.n_vertices))
+    there = cut.located >= 0
+    np.testing.assert_array_equal(cut.vertices[cut.located[there]], whole.vertices[whole.located[there]])
+    assert 0.9 < there.mean() < 1
+
+
+def test_errors_are_measured_where_all_shapes_have_the_point_and_its_opposite(creatures):
+    rng = np.random.default_rng(0)
+    cut = [matching.with_holes(shape, rng) for shape in creatures]
+    for vertices in matching.evaluated(cut):
+        assert vertices.shape == (3, 80)
+        assert vertices.min() >= 0
+    own, other = matching.evaluated(creatures)  # without holes, to look points up
+    for shape, here, there in zip(creatures, own, other):
+        np.testing.assert_array_equal(there, shape.located[shape.opposite[here]])
+
+
+def test_noise_is_a_fifth_of_an_edge_along_the_normals(creatures):
+    noisy = matching.noisy(creatures[0], np.random.default_rng(0))
+    ends = creatures[0].vertices[fmsync.shape.edges_of_faces(creatures[0].faces)]
+    edge = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
+    away = np.linalg.norm(noisy.vertices - creatures[0].vertices, axis=1)
+    assert np.sqrt((away**2).mean()) == pytest.approx(0.2 * edge, rel=0.1)
+    np.testing.assert_array_equal(noisy.faces, creatures[0].faces)
+
+
+def test_a_run_of_the_suite_sees_errors_regions_and_warnings(monkeypatch, creatures):
+    pytest.importorskip("pyFM")
+    monkeypatch.setattr(matching, "load_collection", lambda *_, **__: creatures)
+    monkeypatch.setattr(matching, "observe", partial(confidence.observe, **(OPTIONS | {"n_refined": 40})))
+    found = matching.run((2, "noise"))
+    errors = found["errors"]
+    assert min(errors, key=errors.get) == "bound"
+    assert errors["ours"] < 0.2
+    assert set(found["cpu_seconds"]) == set(errors) - {"bound"}
+    assert {"all", "limb", "trunk", "surer half", "surer half of the oracle"} <= set(found["regions"])
+    assert {kind for kind, _ in found["said"]} >= {*matching.SAID, "given up", "two candidate places"}
+    assert found["said"]["given up", "wrong"][:, 1].sum() == 3
+    assert found["said"]["unlike the rest", "wrong"][:, 1].sum() == 3
+    assert found["said"]["few effective draws", "regions fail"][:, 0].sum() == 1  # forty are
+
+
+def test_the_suite_names_what_was_refused_and_sums_warnings(monkeypatch, tmp_path):
+    def planted(task):
+        number, _ = task
+        if task == (3, "noise"):
+            return {"refused": "mirrored"}
+        errors = {"bound": 0.1, "ours": 0.1 * (1 + number)}
+        said = {("given up", "wrong"): np.array([[1, 2], [number, 4]])}
+        return {"errors": errors, "cpu_seconds": {"ours": 1.0}, "regions": {"all": 0.9}, "said": said}
+
+    monkeypatch.setattr(matching, "run", planted)
+    monkeypatch.setattr(matching, "kept_results", partial(studies.kept_results, jobs=1))
+    found = matching.table(tmp_path, range(4))
+    assert found["refused"] == {"species 3, noise": "mirrored"}
+    assert list(found["errors"]) == list(matching.VARIANTS)
+    ours = found["errors"]["holes"]["ours"]
+    assert ours["median"] == pytest.approx(0.25)
+    assert ours["largest ratio to the bound"] == pytest.approx(4)
+    assert ours["species of the largest"] == 3
+    assert found["errors"]["noise"]["ours"]["median ratio to the bound"] == pytest.approx(2)
+    assert found["regions"]["noise"]["all"] == {"mean": pytest.approx(0.9), "se": pytest.approx(0, abs=1e-9)}
+    assert found["warnings"]["given up: wrong"] == {"with the fault": [15, 30], "without": [21, 60]}
+    assert len(found["runs"]) == 15
+    json.dumps(found)

@@ -53,6 +53,14 @@ def test_poses_are_near_isometric_and_species_are_not(species):
     assert np.quantile(within, 0.75) < np.quantile(between, 0.05)
 
 
+def test_parts_are_those_of_the_body_and_of_both_sides(species):
+    tails = [(shapes[0].part == "tail").mean() for shapes in species]
+    assert min(tails) == 0 < max(tails) < 0.4
+    for (shape, *_), tail in zip(species, tails):
+        assert set(shape.part) == {"limb", "trunk"} | ({"tail"} if tail else set())
+        assert (shape.part == shape.part[shape.opposite]).mean() > 0.95
+
+
 def test_limbs_are_two_four_or_six():
     counts = set()
     for k in range(60):
@@ -108,6 +116,7 @@ def test_remeshed_creatures_know_their_body(species, remeshed):
         np.testing.assert_array_equal(shape.located[shape.common], np.arange(shape.n_vertices))
         np.testing.assert_array_equal(posed.located[posed.common], np.arange(1000))
         assert np.linalg.norm(posed.vertices - shape.vertices[shape.located[:1000]], axis=1).max() < 1.5 * edge
+        np.testing.assert_array_equal(shape.part, posed.part[posed.located[shape.common]])
         assert (np.diff(shape.common) < 0).mean() == pytest.approx(0.5, abs=0.1)  # shuffled: sd .009
         mirrored = posed.opposite[posed.located[shape.common]]  # of the nearest vertex, and the nearest of the mirrored
         away = np.linalg.norm(posed.vertices[mirrored] - posed.vertices[posed.located[shape.opposite]], axis=1)
