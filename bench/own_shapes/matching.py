@@ -37,7 +37,7 @@ _WRONG = 0.08  # larger mean errors of maps and shapes are faults, in square roo
 _HELD = 0.8  # and so is a smaller share of true images in regions of 90 %
 _FIT = {"K": 30, "w_descr": 1.0, "w_lap": 0.1, "w_dcomm": 1.0, "w_orient": 1.0}  # of the example in pyFM's readme
 SAID = {  # what the report says, by kind, and of whom
-    "left and right contradict": ("contradict the left and right", "pairs"),
+    "left and right hardly apart": ("hardly keep left and right apart", "pairs"),
     "no cycle checks the map": ("No cycle of trusted maps", "pairs"),
     "no majority agrees": ("No majority of the maps", "shapes"),
     "unlike the rest": ("Unlike the rest", "shapes"),
@@ -183,7 +183,6 @@ def said(seen: Observed, mirrored: Evaluation) -> dict[tuple[str, str], np.ndarr
         for kind, (phrase, who) in SAID.items()
     }
     given["given up"] = "pairs", inlier_weights(synced.estimate) < 0.5
-    given["orientation below a half (not said)"] = "pairs", np.array([m.orientation < 0.5 for m in synced.matches])
     double = [seen.evaluation.at(i, known.two_modes.astype(float)) > 0.5 for (i, _), known in zip(pairs, seen.known)]
     given["two candidate places"] = "vertices", np.concatenate(double)
     return {

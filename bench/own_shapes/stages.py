@@ -89,7 +89,7 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     seconds: dict[str, float] = {}
 
     def synchronised(matches: list):
-        estimate, signs, _, problem = network.robust_maps(len(shapes), edges, matches, n, rng)
+        estimate, signs, problem = network.robust_maps(len(shapes), edges, matches, n, rng)
         turn = network.basis_signs(signs, n)[:, None]
         return estimate.absolute * turn, problem, turn
 

@@ -69,14 +69,12 @@ def add_shape(
     problem, posterior = _extended(synced.problem, edges, observed), synced.posterior
     absolute = np.concatenate([synced.estimate.absolute, star.absolute[1:]])
     weights = np.concatenate([inlier_weights(synced.estimate), weights])
-    wrong = np.linalg.det([m.c_ij[:n, :n] for m in matches]) * synced.signs[others] * sign < 0
     refined = _refined(synced, shapes[-1], others[trusted], relative[trusted])
     return stages.SyncedShapes(
         shapes=shapes,
         edges=problem.edges,
         matches=(*synced.matches, *matches),
         signs=np.append(synced.signs, sign),
-        violating=np.concatenate([synced.violating, before + np.flatnonzero(wrong)]),
         problem=problem,
         estimate=Estimate.from_absolute(problem, absolute, "robust", edge_weights=weights),
         posterior=posterior and _with_draws(posterior, edges[trusted], observed[trusted], rng),

@@ -33,14 +33,14 @@ def flipped(maps: np.ndarray, edges: np.ndarray, signs: np.ndarray) -> np.ndarra
     return flips[edges[:, 0]][:, :, None] * maps * flips[edges[:, 1]][:, None]
 
 
-def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """Signs s with det C_ij = s_i s_j on as many edges (E, 2) as greedy ascent from the leading eigenvector finds.
 
-    (N,) of ±1, the first +1: flip one eigenfunction of every shape with -1. And indices of edges that disagree.
+    (N,) of ±1, the first +1: flip one eigenfunction of every shape with -1.
 
     >>> maps = np.array([np.diag([1.0, -1.0]), np.diag([1.0, -1.0]), np.eye(2)])
     >>> rotation_signs(3, np.array([[0, 1], [1, 2], [0, 2]]), maps)
-    (array([ 1., -1.,  1.]), array([], dtype=int64))
+    array([ 1., -1.,  1.])
     """
     first, second = np.asarray(edges).T
     parity = np.sign(np.linalg.det(maps))
@@ -50,18 +50,17 @@ def rotation_signs(n_nodes: int, edges: np.ndarray, maps: np.ndarray) -> tuple[n
     signs = np.where(np.linalg.eigh(votes)[1][:, -1] < 0, -1.0, 1.0)
     while (gain := signs * (votes @ signs)).min() < 0:  # each flip satisfies more edges, so that this ends
         signs[gain.argmin()] *= -1
-    signs *= signs[0]
-    return signs, np.flatnonzero(parity != signs[first] * signs[second])
+    return signs * signs[0]
 
 
 def robust_maps(
     count: int, edges: np.ndarray, matches: Sequence[PairMatch], n: int, rng: int | np.random.Generator
-) -> tuple[Estimate, np.ndarray, np.ndarray, SyncProblem]:
-    """Robust synchronisation of the matches: the estimate, signs, edges that violate them, and the problem solved."""
+) -> tuple[Estimate, np.ndarray, SyncProblem]:
+    """Robust synchronisation of the matches: the estimate, signs, and the problem solved."""
     maps = np.array([m.c_ij[:n, :n] for m in matches])
-    signs, violating = rotation_signs(count, edges, maps)
+    signs = rotation_signs(count, edges, maps)
     problem = SyncProblem(count, edges, so.project(flipped(maps, edges, signs)))
-    return robust_estimate(problem, rng), signs, violating, problem
+    return robust_estimate(problem, rng), signs, problem
 
 
 def robust_estimate(problem: SyncProblem, rng: int | np.random.Generator) -> Estimate:

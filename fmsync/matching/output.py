@@ -71,7 +71,7 @@ def write_all(
 def _packed(synced: SyncedShapes) -> dict[str, Any]:
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
-    packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "violating", "used", "names")}
+    packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "used", "names")}
     packed |= {name: getattr(synced.posterior, name) for name in ("energy", "kappa")}
     packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
     packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
@@ -110,9 +110,7 @@ def load_synced(folder: str | Path) -> SyncedShapes:
         draws = data["draws"].astype(float).reshape(*energy.shape, *data["absolute"].shape)
         posterior = Posterior(trusted, "heat-bath", draws, energy, data["kappa"], False, {"likelihood": "langevin"})
         rest = data["refined"], tuple(map(str, data["map_names"])), data["used"], tuple(map(str, data["outliers"]))
-        return SyncedShapes(
-            tuple(shapes), problem.edges, matches, data["signs"], data["violating"], problem, estimate, posterior, *rest
-        )
+        return SyncedShapes(tuple(shapes), problem.edges, matches, data["signs"], problem, estimate, posterior, *rest)
     except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
         raise ValueError(f"{path}: damaged, or of another version ({error!r}); run fmsync sync again") from error
 
@@ -152,7 +150,6 @@ def edge_table(synced: SyncedShapes) -> pd.DataFrame:
     columns |= {name: [getattr(m, name) for m in synced.matches] for name in ("distortion", "orientation")}
     columns["residual"] = np.linalg.norm(synced.estimate.relative() - synced.problem.maps, axis=(1, 2))
     columns["inlier_weight"] = inlier_weights(synced.estimate)
-    columns["sign_disagrees"] = np.isin(np.arange(len(synced.edges)), synced.violating)
     return pd.DataFrame(columns)
 
 

@@ -19,6 +19,7 @@ from fmsync.matching.synchronize import SyncedShapes
 from fmsync.shape import Shape, colours_from_coordinates
 from fmsync.threads import single_threaded_blas
 
+_ORIENTED = 0.5  # orientation of maps that keep left and right apart
 _DRAWN = 1500  # vertices of a drawn shape
 _CHOICE = 160  # of which so many can be chosen, to see where they go
 _MOST_DRAWS, _ALL_DRAWS = 100, 11_000  # that send the vertices of a pair, and of all pairs
@@ -34,7 +35,7 @@ _RAMP = np.array([[0.94, 0.93, 0.86], [0.96, 0.73, 0.36], [0.82, 0.30, 0.24], [0
 def quality_flags(synced: SyncedShapes) -> list[str]:
     """Sentences about what went wrong or is thin, each with what to do; none if nothing is.
 
-    Watches energy, concentration and modes of the chains, edges that contradict the rest, outliers, and symmetries.
+    Watches energy, concentration and modes of the chains, maps that mix left and right, outliers, and symmetries.
     """
     said = []
     for what, among in (("left out", False), ("doubtful, as are their maps: leave them out", True)):
@@ -42,8 +43,10 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
             said.append(f"Unlike the rest and {what}: {', '.join(outliers)}.")
     if synced.posterior is not None:
         said += doubts_of_draws(synced.posterior, bool(synced.map_names))
-    if pairs := [synced.edge_names[e] for e in synced.violating]:
-        said.append(f"{len(pairs)} pairs contradict the left and right of the others: doubt {', '.join(pairs)}.")
+    oriented = all(s.orientation is not None for s in synced.shapes)
+    doubtful = [name for name, m in zip(synced.edge_names, synced.matches) if m.orientation < _ORIENTED]
+    if doubtful and oriented and not synced.map_names:
+        said.append(f"{len(doubtful)} maps hardly keep left and right apart: doubt {', '.join(doubtful)}.")
     if turned := [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]:
         said.append(f"{len(turned)} given maps turn left into right; if many, so may the answer: {', '.join(turned)}.")
     if turning := [s.shape.name for s in synced.shapes if has_continuous_symmetry(s)]:
@@ -71,9 +74,9 @@ def report(
         level=level,
         top=top,
         ramp=ramp,
-        edges=edges.rename(columns=lambda name: name.replace("_", " "))
-        .replace({"sign disagrees": {True: "yes", False: "no"}})
-        .to_html(index=False, float_format="%.3f", border=0),
+        edges=edges.rename(columns=lambda name: name.replace("_", " ")).to_html(
+            index=False, float_format="%.3f", border=0
+        ),
         data=json.dumps(_data(synced, known, radii, edges, top, level)).replace("<", "\\u003c"),
         explorer=_EXPLORER.read_text(encoding="utf-8"),
         viewer=_VIEWER.read_text(encoding="utf-8"),

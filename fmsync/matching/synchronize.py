@@ -43,20 +43,18 @@ class SyncedShapes:
     """Shapes with consistent maps.
 
     ``shapes`` are N sampled shapes of unit area; ``edges`` (E, 2) pairs and ``matches`` their maps, from descriptors or
-    as they were given, with ``map_names`` then; ``signs`` (N,) ±1, and ``violating`` the edges whose determinant
-    disagrees with them; ``problem``, ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust
-    answer, and draws (None if none were asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the
-    refined bases to M <= m functions that all shapes share: points are matched by the values of those, and relative
-    maps are ``refined[i].T @ refined[j]``. ``used`` (U,) are the edges whose maps carry points: all, or of given maps
-    those of least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the
-    rest, whether they were left out or are among ``shapes``.
+    as they were given, with ``map_names`` then; ``signs`` (N,) ±1 of the last function of each; ``problem``,
+    ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust answer, and draws (None if none were
+    asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the refined bases to M <= m functions that all
+    shapes share: points are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
+    ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of least cost of each pair that are
+    trusted. ``outliers`` names the shapes that are unlike the rest, whether they were left out or are among ``shapes``.
     """
 
     shapes: tuple[SampledShape, ...]
     edges: np.ndarray
     matches: tuple[PairMatch, ...]
     signs: np.ndarray
-    violating: np.ndarray
     problem: SyncProblem
     estimate: Estimate
     posterior: Posterior | None
@@ -241,7 +239,7 @@ def synchronize_shapes(
         _refuse_mirrored(sampled, edges, matches)
 
         def proposed(found: list[PairMatch]) -> np.ndarray:
-            estimate, signs, _, _ = network.robust_maps(len(sampled), edges, found, n_basis, rng)
+            estimate, signs, _ = network.robust_maps(len(sampled), edges, found, n_basis, rng)
             return network.flipped(estimate.relative(), edges, signs)
 
         matches = with_proposals(each, light, edges, matches, proposed)
@@ -271,7 +269,7 @@ def synchronize_matches(
     Maps with ``map_names`` are given ones: of each pair the best trusted one carries points, see there.
     """
     rng = np.random.default_rng(rng)
-    estimate, signs, violating, problem = network.robust_maps(len(shapes), edges, matches, n_basis, rng)
+    estimate, signs, problem = network.robust_maps(len(shapes), edges, matches, n_basis, rng)
     used = np.arange(len(edges))
     if map_names:
         used = best_of_pairs(edges, matches, network.trusted_edges(problem, estimate))
@@ -281,7 +279,7 @@ def synchronize_matches(
     steps = tqdm(sizes(n_basis, n_refined, fast), "refinement", disable=not progress)
     refined = upsample(shapes, edges[used], start, steps)
     return SyncedShapes(
-        tuple(shapes), edges, tuple(matches), signs, violating, problem, estimate, posterior, refined, map_names, used
+        tuple(shapes), edges, tuple(matches), signs, problem, estimate, posterior, refined, map_names, used
     )
 
 
