@@ -84,3 +84,37 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.nd
         edge = f"an edge of the face on vertices {faces[standing][np.argmax(crowded)].tolist()}"
         raise ValueError(f"{edge} belongs to more than two faces: not a manifold there; split or remesh it")
     return _kept(faces, standing, "stood as fins on edges with two other faces", said)
+
+
+def filled(vertices: np.ndarray, faces: np.ndarray, longest: float) -> np.ndarray:
+    """Faces (F', 3) of an oriented mesh, the given ones first, and patches for the holes whose rim is not longer.
+
+    Corners of a rim are cut off one by one, always by the shortest new edge.
+
+    >>> corner, triangle = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]), np.array([[0, 1, 2]])
+    >>> filled(corner, triangle, longest=3.5).tolist(), filled(corner, triangle, longest=3).tolist()
+    ([[0, 1, 2], [1, 0, 2]], [[0, 1, 2]])
+    """
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    rim = ends[~np.isin(ends @ [len(vertices), 1], ends[:, ::-1] @ [len(vertices), 1])]
+    following: dict[int, list[int]] = {}
+    for after, before in rim.tolist():  # against the direction of the faces beside it
+        following.setdefault(before, []).append(after)
+    loops, patches = [], []
+    for start in following:
+        path = [start]
+        while following.get(path[-1]):
+            if (corner := following[path[-1]].pop()) in path:  # a rim that touches itself is several loops
+                loops.append(path[path.index(corner) :])
+                del path[path.index(corner) + 1 :]
+            else:
+                path.append(corner)
+    for loop in loops:
+        if np.linalg.norm(vertices[loop] - np.roll(vertices[loop], 1, axis=0), axis=1).sum() > longest:
+            continue
+        while len(loop) > 2:
+            points = vertices[loop]
+            k = int(np.linalg.norm(np.roll(points, 1, axis=0) - np.roll(points, -1, axis=0), axis=1).argmin())
+            patches.append([loop[k - 1], loop[k], loop[(k + 1) % len(loop)]])
+            del loop[k]
+    return np.vstack([faces, np.array(patches, dtype=faces.dtype).reshape(-1, 3)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmsync.mesh_repair import repaired
+from fmsync.mesh_repair import filled, repaired
 from fmsync.shape import triangle_areas
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -71,3 +71,33 @@ def test_the_rest_is_refused_and_its_first_offender_named(vertices, faces, said)
 def test_only_a_manifold_need_be_one():
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
     assert repaired(flat, np.array([[0, 1, 2]]), manifold=False)[2] == []
+
+
+def _is_closed(faces):
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    directed = {tuple(end) for end in ends}
+    return len(directed) == len(ends) and {(b, a) for a, b in directed} == directed
+
+
+@pytest.mark.parametrize("pinched", [False, True])
+def test_holes_are_filled_with_faces_that_look_outwards(pinched):
+    import pyvista as pv
+
+    ball = pv.Icosphere(nsub=3)
+    vertices, faces = np.asarray(ball.points, dtype=float), ball.regular_faces
+    gone = (faces == 0).any(axis=1) | (vertices[faces].mean(axis=1)[:, 2] > 0.9)
+    if pinched:  # two fans of faces about neighbours of one vertex, which alone is between them
+        ring = np.setdiff1d(faces[(faces == 300).any(axis=1)], [300])
+        far = ring[np.linalg.norm(vertices[ring] - vertices[ring[0]], axis=1).argmax()]
+        gone |= np.isin(faces, [ring[0], far]).any(axis=1) & ~np.isin(faces, 300).all(axis=1)
+    left = faces[~gone]
+    ends = left[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    rim = [a for a, b in ends if [b, a] not in ends]
+    assert (len(set(rim)) < len(rim)) == pinched  # a vertex that is twice on a rim
+    closed = filled(vertices, left, longest=10)
+    np.testing.assert_array_equal(closed[: len(left)], left)
+    assert _is_closed(closed)
+    a, b, c = vertices[closed].swapaxes(0, 1)
+    assert (np.einsum("fx,fx->f", np.cross(b - a, c - a), a + b + c) > 0).all()
+    np.testing.assert_array_equal(filled(vertices, left, longest=0.1), left)
+    np.testing.assert_array_equal(filled(vertices, faces, longest=10), faces)

@@ -149,7 +149,7 @@ class Valid:
         known = Confidence(*np.zeros((6, 40)), 0.9, score, np.ones(40))
         edges = problem.edges
         synced = SyncedShapes(
-            (one,) * 4, edges, tuple(PairMatch(np.eye(5), 0.1, 1.0) for _ in edges), np.ones(4), edges[:0], problem,
+            (one,) * 4, edges, tuple(PairMatch(np.eye(5), 0.1, 1.0) for _ in edges), np.ones(4), problem,
             estimate, post, so.random_uniform(5, 4, rng=4), (), np.arange(len(edges)),
         )  # fmt: skip
         calibration = ConformalCalibration("these", 1.0, (0.5, 0.9), (1.0, 2.0))

@@ -55,7 +55,7 @@ def add_shape(
     size = max(len(s.samples) for s in old)
     given: list[Any] = [*(s.samples[: s.n_landmarks] for s in old), [] if landmarks is None else landmarks]
     marks = stages.checked_landmarks(given, everybody, size)[-1]
-    shapes = (*old, sample_shape(shape, old[0].basis.n, size, n, marks))
+    shapes = (*old, sample_shape(shape, old[0].basis.n, size, n, marks, None, not synced.map_names))
     _, outliers = belonging(shapes, drop=False)
     others = np.sort(np.argsort(spectral_distances(shapes)[-1, :-1], kind="stable")[:neighbours])
     edges, fixed = np.column_stack([others, np.full(len(others), len(old))]), synced.estimate.absolute[others]

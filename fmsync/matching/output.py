@@ -103,7 +103,11 @@ def load_synced(folder: str | Path) -> SyncedShapes:
             vertices, faces, *basis = (data[f"{part}_{k}"] for part in _OF_SHAPES)
             shape = Shape(vertices, faces if len(faces) else None, str(name))
             size, marks = len(data[f"samples_{k}"]), data[f"landmarks_{k}"]
-            shapes.append(sample_shape(shape, len(basis[0]), size, problem.n, marks, Basis(*basis)))
+            shapes.append(
+                sample_shape(
+                    shape, len(basis[0]), size, problem.n, marks, Basis(*basis), fill=not len(data["map_names"])
+                )
+            )
         matches = tuple(PairMatch(data[f"c_ij_{e}"], *map(float, row)) for e, row in enumerate(data["scores"]))
         estimate = Estimate.from_absolute(problem, data["absolute"], "robust", edge_weights=data["weights"])
         energy, trusted = data["energy"], trusted_part(problem, estimate, data["used"])

@@ -177,7 +177,7 @@ def synchronize_shapes(
     where they keep distances better; posterior with inferred concentration; larger maps through functions that all
     shapes share. A shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names
     become ``name (shape k)``. Shapes that are unlike the rest are named in a warning, or left out
-    (:mod:`fmsync.matching.outliers`).
+    (:mod:`fmsync.matching.outliers`). Small holes are closed for spectra and distances, not in ``shapes``.
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
@@ -220,7 +220,13 @@ def synchronize_shapes(
     given = () if maps is None else checked_maps(maps, shapes, bases, n_basis)
     pairs = np.array([(g.i, g.j) for g in given]) if given else _checked_graph(graph, len(shapes))
     each = parallel(jobs, progress)
-    sampled = tuple(each("bases", sample_shape, [(s, n_refined, n_samples, n_basis, m) for s, m in zip(shapes, marks)]))
+    sampled = tuple(
+        each(
+            "bases",
+            sample_shape,
+            [(s, n_refined, n_samples, n_basis, m, None, not given) for s, m in zip(shapes, marks)],
+        )
+    )
     stay, outliers = belonging(sampled, drop_outliers)
     sampled = tuple(sampled[k] for k in stay)
     if not isinstance(pairs, int):

@@ -12,7 +12,7 @@ from fmsync.matching import fit_conformal, pairwise, synchronize
 from fmsync.matching.confidence import Confidence, local_distortion, two_modes
 from fmsync.matching.network import rotation_signs
 from fmsync.matching.report import quality_flags
-from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators
+from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators, sample_shape
 from fmsync.shape import Shape
 from tests.matching.conftest import OPTIONS
 from tests.matching.planted_flips import planted_flips
@@ -45,6 +45,20 @@ def test_scale_units_and_another_triangulation_do_not_matter(cats):
     result = fmsync.synchronize_shapes([cats[0], large], n_draws=0, **OPTIONS)
     image = large.vertices[result.point_map(0, 1)]
     assert np.linalg.norm(image - 1000 * cats[1].vertices, axis=1).mean() / np.sqrt(large.area) < 0.08
+
+
+def test_small_holes_are_closed_before_spectra_are_compared(cats):
+    cat = cats[0]
+    top = (cat.vertices[:, 2] - 4 * np.abs(cat.vertices[:, 0] - cat.vertices[:, 0].mean())).argmax()
+    away = np.linalg.norm(cat.vertices - cat.vertices[top], axis=1)
+    faces = cat.faces[(away[cat.faces] > 0.1 * np.sqrt(cat.area)).any(axis=1)]
+    kept = np.unique(faces)
+    damaged = Shape(cat.vertices[kept], np.searchsorted(kept, faces), "damaged")
+    whole, closed, still_open = (
+        np.log(sample_shape(shape, 30, 100, fill=fill).basis.eigenvalues[1:])
+        for shape, fill in ((cat, True), (damaged, True), (damaged, False))
+    )
+    assert 4 * np.abs(closed - whole).mean() < np.abs(still_open - whole).mean()
 
 
 def test_point_clouds_have_no_orientation(cats):
