@@ -198,11 +198,11 @@ def execute(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
             planted = _problem(run.generator, tuple(run.problem.items()), run.seed, run.content["data"])
             planted, rng = _replicated(planted, run.seed, method.kind, replica)
             _warm(run.method, json.dumps(run.options))
-            before = _peak(forget=True)
+            before = peak_memory(forget=True)
             began, cpu = time.perf_counter(), time.process_time()
             with process_limits(run):
                 answer = method.run(planted, rng, run.options)
-            spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, _peak() - before))
+            spent = (time.perf_counter() - began, time.process_time() - cpu, max(0.0, peak_memory() - before))
             if replica and method.kind == "sampler":
                 answer = replace(answer, numbers=dict)  # effective draws a second: slow, and not compared
             rows = [[name, None, value] for name, value in zip(("seconds", "cpu_seconds", "peak_memory"), spent)]
@@ -268,7 +268,7 @@ def _warm(name: str, options: str) -> None:
         method.run(toy, np.random.default_rng(0), {**json.loads(options), **quick})
 
 
-def _peak(*, forget: bool = False) -> float:
+def peak_memory(*, forget: bool = False) -> float:
     """Largest size of this process in MB, where the system allows it after forgetting what was before."""
     with contextlib.suppress(OSError):
         if forget:

@@ -1,7 +1,8 @@
 """How fast the library is beside other software and the limits of the machine: ``results/speed.json``.
 
 ``python -m bench.speed`` measures each row at least five times, ours and its reference in turn, so that a machine whose
-speed changes meanwhile slows both. One thread, CPU seconds.
+speed changes meanwhile slows both. One thread, CPU seconds. ``python -m bench.speed large`` solves, once, a problem of
+a million maps; to make it takes 20 GB.
 """
 
 import subprocess
@@ -18,6 +19,7 @@ import bench.peers  # noqa: F401  registers the peers
 import data_gen
 import fmsync
 from bench.provenance import versions
+from bench.runner import peak_memory
 from bench.studies import add_part
 from fmsync import so
 from fmsync.block_products import add_products
@@ -26,6 +28,7 @@ from fmsync.samplers.base import Target
 from fmsync.samplers.rlfm import RLFM
 from fmsync.threads import single_threaded_blas
 
+_TABLE = Path("results/speed.json")
 SIZES, N, DEGREE, SIGMA2, RUNS = (300, 1000, 3000, 10000), 20, 20, 0.1, 5
 _PLAIN = (
     "import time, numpy, scipy.linalg, scipy.sparse.csgraph, scipy.special; t = time.process_time(); import fmsync; "
@@ -134,8 +137,21 @@ def first_calls() -> dict[str, dict[str, float]]:
     return found
 
 
+def large(n_nodes: int = 100_000) -> dict[str, float]:
+    """CPU seconds of one solve, GB of its maps, and the most GB that the process held meanwhile, maps included."""
+    p = problem(n_nodes)
+    peak_memory(forget=True)
+    with single_threaded_blas():
+        taken = seconds(lambda: fmsync.solve(p))
+    sizes = {"n_nodes": n_nodes, "n_edges": p.n_edges, "maps": p.maps.nbytes / 1e9}
+    return sizes | {"seconds": taken, "peak": peak_memory() / 1e3, "versions": versions()}
+
+
 def main() -> None:
     """Measure, and write the file."""
+    if sys.argv[1:] == ["large"]:
+        add_part(_TABLE, "large", large(), "python -m bench.speed large")
+        return
     small, middle = problem(100), problem(1000)
     turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
     with single_threaded_blas():
@@ -148,7 +164,7 @@ def main() -> None:
             "solves": [solves(problem(size)) for size in SIZES],
         }
     found |= {"versions": versions(), "first": first_calls()}
-    add_part(Path("results/speed.json"), "speed", found, "python -m bench.speed")
+    add_part(_TABLE, "speed", found, "python -m bench.speed")
 
 
 if __name__ == "__main__":

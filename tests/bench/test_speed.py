@@ -23,3 +23,11 @@ def test_pairs_are_ratios_of_the_second_to_the_first():
     pair = speed.paired(lambda: sum(range(10**5)), lambda: sum(range(10**6)), runs=3)
     assert pair["ratio_low"] <= pair["ratio"] <= pair["ratio_high"]
     assert pair["ratio"] > 3
+
+
+def test_the_large_problem_is_described_by_one_solve():
+    row = speed.large(60)
+    assert row["n_nodes"] == 60
+    assert row["maps"] == row["n_edges"] * 400 * 8 / 1e9
+    assert row["peak"] > row["maps"]
+    assert row["seconds"] > 0
