@@ -45,8 +45,8 @@ def mle(
     if isinstance(tolerance, str):
         checks.one_of("tolerance", tolerance, ("statistical",))
     goal = partial(_tenth_of_noise, problem) if isinstance(tolerance, str) else tolerance
-    model, start = Rotations(problem), starting_point(problem, init, rng, group)
-    found = minimise(model, start, tolerance=goal, max_iterations=max_iterations, callback=callback)
+    start = starting_point(problem, init, rng, group)  # before the model: each has a copy of the maps
+    found = minimise(Rotations(problem), start, tolerance=goal, max_iterations=max_iterations, callback=callback)
     absolute, converged, trace = found
     return Estimate.from_absolute(problem, absolute, "mle", group, converged=converged, trace=trace)
 
