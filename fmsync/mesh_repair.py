@@ -87,20 +87,32 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray, said: list[str]) -> np.nd
 
 
 def filled(vertices: np.ndarray, faces: np.ndarray, longest: float) -> np.ndarray:
-    """Faces (F', 3) of an oriented mesh, the given ones first, and patches for the holes whose rim is not longer.
+    """Faces (F', 3) of a mesh, the given ones first, and patches for the holes whose rim is not longer.
 
-    Corners of a rim are cut off one by one, always by the shortest new edge.
+    Corners of a rim are cut off one by one, always by the shortest edge that is not in the mesh; where there is none,
+    the hole stays open.
 
-    >>> corner, triangle = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]), np.array([[0, 1, 2]])
-    >>> filled(corner, triangle, longest=3.5).tolist(), filled(corner, triangle, longest=3).tolist()
-    ([[0, 1, 2], [1, 0, 2]], [[0, 1, 2]])
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]])
+    >>> tent = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    >>> filled(corners, tent, longest=5)[4:].tolist(), len(filled(corners, tent, longest=3))
+    ([[2, 1, 0], [0, 3, 2]], 4)
     """
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    rim = ends[~np.isin(ends @ [len(vertices), 1], ends[:, ::-1] @ [len(vertices), 1])]
+    codes, label, count = np.unique(np.sort(ends, axis=1) @ [len(vertices), 1], return_inverse=True, return_counts=True)
     following: dict[int, list[int]] = {}
-    for after, before in rim.tolist():  # against the direction of the faces beside it
+    for after, before in ends[count[label] == 1].tolist():  # against the direction of the faces beside it
         following.setdefault(before, []).append(after)
-    loops, patches = [], []
+    known, patches = set(codes.tolist()), []
+    for loop in _loops(following):
+        points = vertices[loop]
+        if np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1).sum() <= longest:
+            patches += _patch(vertices, loop, known)
+    return np.vstack([faces, np.array(patches, dtype=faces.dtype).reshape(-1, 3)])
+
+
+def _loops(following: dict[int, list[int]]) -> list[list[int]]:
+    """Closed walks along a rim, of which none visits a vertex twice."""
+    loops = []
     for start in following:
         path = [start]
         while following.get(path[-1]):
@@ -109,12 +121,22 @@ def filled(vertices: np.ndarray, faces: np.ndarray, longest: float) -> np.ndarra
                 del path[path.index(corner) + 1 :]
             else:
                 path.append(corner)
-    for loop in loops:
-        if np.linalg.norm(vertices[loop] - np.roll(vertices[loop], 1, axis=0), axis=1).sum() > longest:
-            continue
-        while len(loop) > 2:
-            points = vertices[loop]
-            k = int(np.linalg.norm(np.roll(points, 1, axis=0) - np.roll(points, -1, axis=0), axis=1).argmin())
-            patches.append([loop[k - 1], loop[k], loop[(k + 1) % len(loop)]])
-            del loop[k]
-    return np.vstack([faces, np.array(patches, dtype=faces.dtype).reshape(-1, 3)])
+    return loops
+
+
+def _patch(vertices: np.ndarray, loop: list[int], known: set[int]) -> list[list[int]]:
+    """Triangles in a loop; their new edges join the ``known`` ones. None if some edge would be there twice."""
+    triangles, new = [], set()
+    while len(loop) > 3:
+        before, after = np.roll(loop, 1), np.roll(loop, -1)
+        codes = np.sort(np.stack([before, after], axis=1), axis=1) @ [len(vertices), 1]
+        length = np.linalg.norm(vertices[before] - vertices[after], axis=1)
+        length[[code in known or code in new for code in codes.tolist()]] = np.inf
+        k = int(length.argmin())
+        if length[k] == np.inf:
+            return []
+        triangles.append([int(before[k]), loop[k], int(after[k])])
+        new.add(int(codes[k]))
+        loop = loop[:k] + loop[k + 1 :]
+    known |= new
+    return [*triangles, loop]

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+import data_gen
 from fmsync.mesh_repair import filled, repaired
-from fmsync.shape import triangle_areas
+from fmsync.shape import edges_of_faces, triangle_areas
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])  # of a tetrahedron
@@ -101,3 +102,19 @@ def test_holes_are_filled_with_faces_that_look_outwards(pinched):
     assert (np.einsum("fx,fx->f", np.cross(b - a, c - a), a + b + c) > 0).all()
     np.testing.assert_array_equal(filled(vertices, left, longest=0.1), left)
     np.testing.assert_array_equal(filled(vertices, faces, longest=10), faces)
+
+
+def test_filled_meshes_have_no_edge_in_three_faces_and_reversed_faces_are_no_holes():
+    cat = data_gen.load_collection("cats", count=1, n_vertices=1000)[0]
+    rng = np.random.default_rng(0)
+    turned = rng.random(len(cat.faces)) < 0.3
+    reversed_faces = np.where(turned[:, None], cat.faces[:, ::-1], cat.faces)
+    np.testing.assert_array_equal(filled(cat.vertices, reversed_faces, longest=10), reversed_faces)
+    grown = 0
+    for _ in range(20):
+        away = np.linalg.norm(cat.vertices - cat.vertices[rng.integers(1000)], axis=1)
+        left = cat.faces[(away[cat.faces].mean(axis=1) > 0.1)]
+        closed = filled(cat.vertices, left, longest=10)
+        assert np.unique(edges_of_faces(closed), axis=0, return_counts=True)[1].max() == 2
+        grown += len(closed) > len(left)
+    assert grown > 15  # some hole may stay open: its patch would have edges that are there already

@@ -76,7 +76,7 @@ def _packed(synced: SyncedShapes) -> dict[str, Any]:
     packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
     packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
     packed |= {name: np.array(getattr(synced, name), dtype=str) for name in ("map_names", "outliers")}
-    packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion) for m in synced.matches]
+    packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion, m.missed) for m in synced.matches]
     packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
     for k, s in enumerate(synced.shapes):
         faces = np.empty((0, 3), int) if s.shape.faces is None else s.shape.faces

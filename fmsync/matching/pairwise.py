@@ -32,18 +32,20 @@ class PairMatch:
 
     ``distortion`` is the mean absolute change of geodesic distances between samples, in square roots of the area;
     ``orientation`` the correlation in [-1, 1] with a map that keeps it, 0 for point clouds; ``mirrored_distortion``
-    that of the best candidate that turns left into right, infinite where there was none.
+    that of the best candidate that turns left into right, infinite where there was none; ``missed`` the mean distance
+    of landmarks from their images.
     """
 
     c_ij: np.ndarray
     distortion: float
     orientation: float
     mirrored_distortion: float = np.inf
+    missed: float = 0.0
 
     @property
     def cost(self) -> float:
         """What candidates are chosen by: smaller is better."""
-        return float(_costs(self.distortion, self.orientation, 0.0))
+        return float(_costs(self.distortion, self.orientation, self.missed))
 
 
 @checks.checked()
@@ -67,16 +69,16 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         distortion, orientation, missed = map_scores(first, second, maps, images)
     k = int(np.argmin(_costs(distortion, orientation, missed)))
     mirrored = distortion[orientation < 0].min(initial=np.inf)
-    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored))
+    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored), float(missed[k]))
 
 
 def improve(first: SampledShape, second: SampledShape, proposed: np.ndarray, size: int = FINE) -> PairMatch:
     """The best of proposed maps (R, k, k), upsampled to at most ``size`` and scored like those of :func:`match`."""
     with single_threaded_blas():
         maps, images = zoomout(first, second, proposed, min(size, first.basis.n, second.basis.n), 6, _SAMPLES[2])
-        distortion, orientation, _ = map_scores(first, second, maps, images)
-    k = int(np.argmin(_costs(distortion, orientation, 0.0)))
-    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]))
+        distortion, orientation, missed = map_scores(first, second, maps, images)
+    k = int(np.argmin(_costs(distortion, orientation, missed)))
+    return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), missed=float(missed[k]))
 
 
 def zoomout(

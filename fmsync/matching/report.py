@@ -43,9 +43,9 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
             said.append(f"Unlike the rest and {what}: {', '.join(outliers)}.")
     if synced.posterior is not None:
         said += doubts_of_draws(synced.posterior, bool(synced.map_names))
-    oriented = all(s.orientation is not None for s in synced.shapes)
-    doubtful = [name for name, m in zip(synced.edge_names, synced.matches) if m.orientation < _ORIENTED]
-    if doubtful and oriented and not synced.map_names:
+    meshes = np.array([s.orientation is not None for s in synced.shapes])[synced.edges].all(axis=1)
+    known = zip(synced.edge_names, synced.matches, meshes)
+    if (doubtful := [name for name, m, told in known if told and m.orientation < _ORIENTED]) and not synced.map_names:
         said.append(f"{len(doubtful)} maps hardly keep left and right apart: doubt {', '.join(doubtful)}.")
     if turned := [name for name, m in zip(synced.map_names, synced.matches) if m.orientation < 0]:
         said.append(f"{len(turned)} given maps turn left into right; if many, so may the answer: {', '.join(turned)}.")

@@ -20,7 +20,7 @@ _DESCRIPTOR_SIZES = (12, 12)  # times of the heat kernel signature, energies of 
 
 @dataclass(frozen=True, eq=False)
 class SampledShape:
-    """A ``shape`` of unit area, reduced to what matching it takes.
+    """A ``shape``, of unit area when small holes are closed, reduced to what matching it takes.
 
     ``basis`` are all basis functions, of which maps use the first few; ``samples`` (S,) vertices, of which any first
     few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in

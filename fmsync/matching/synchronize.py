@@ -33,7 +33,7 @@ from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
-_AROUND = 3  # maps through other shapes that are tried as well
+_COMPOSED = 3  # two-hop compositions that are tried as well
 _DRAWS_SHOWN = 100  # draws that carry vertices
 _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, median over the edges of a shape
 
@@ -42,13 +42,14 @@ _MIRRORED = 0.6  # distortion of left-right turned maps relative to the others, 
 class SyncedShapes:
     """Shapes with consistent maps.
 
-    ``shapes`` are N sampled shapes of unit area; ``edges`` (E, 2) pairs and ``matches`` their maps, from descriptors or
-    as they were given, with ``map_names`` then; ``signs`` (N,) ±1 of the last function of each; ``problem``,
-    ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust answer, and draws (None if none were
-    asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the refined bases to M <= m functions that all
-    shapes share: points are matched by the values of those, and relative maps are ``refined[i].T @ refined[j]``.
-    ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of least cost of each pair that are
-    trusted. ``outliers`` names the shapes that are unlike the rest, whether they were left out or are among ``shapes``.
+    ``shapes`` are N sampled shapes, of unit area when small holes are closed; ``edges`` (E, 2) pairs and ``matches``
+    their maps, from descriptors or as they were given, with ``map_names`` then; ``signs`` (N,) ±1 of the last function
+    of each; ``problem``, ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust answer, and draws
+    (None if none were asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the refined bases to M <= m
+    functions that all shapes share: points are matched by the values of those, and relative maps are
+    ``refined[i].T @ refined[j]``. ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of
+    least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the rest, whether they were
+    left out or are among ``shapes``.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -173,11 +174,12 @@ def synchronize_shapes(
     """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
-    robust synchronisation; synchronised maps, and compositions through a third shape, proposed to every pair, taken
+    robust synchronisation; synchronised maps, and two-hop compositions, proposed to every pair, taken
     where they keep distances better; posterior with inferred concentration; larger maps through functions that all
     shapes share. A shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names
     become ``name (shape k)``. Shapes that are unlike the rest are named in a warning, or left out
-    (:mod:`fmsync.matching.outliers`). Small holes are closed for spectra and distances, not in ``shapes``.
+    (:mod:`fmsync.matching.outliers`). Small holes are closed for bases and distances, not in ``shapes``,
+    unless maps are given.
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
@@ -359,11 +361,11 @@ def with_proposals(
     matches: list[PairMatch],
     propose: Callable[[list[PairMatch]], np.ndarray],
 ) -> list[PairMatch]:
-    """Maps of the edges, or where that keeps distances better what the network proposes (E, n, n) or a way around."""
+    """Maps of the edges, or what keeps distances better: the network's proposals (E, n, n) or two-hop compositions."""
     for k in range(_ROUNDS):
         synchronised = propose(matches)
-        around = compositions(edges, matches, synchronised.shape[-1])
-        proposed = [(light[i], light[j], np.array([c, *c2])) for (i, j), c, c2 in zip(edges, synchronised, around)]
+        composed = compositions(edges, matches, synchronised.shape[-1])
+        proposed = [(light[i], light[j], np.array([c, *c2])) for (i, j), c, c2 in zip(edges, synchronised, composed)]
         better = each(f"pairs again {k + 1}/{_ROUNDS}", improve, proposed)
         matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
     return matches
@@ -378,12 +380,12 @@ def compositions(edges: np.ndarray, matches: Sequence[PairMatch], n: int) -> lis
     for (i, j), pair in zip(edges.tolist(), matches):
         c = pair.c_ij[:n, :n]
         found[i, j], found[j, i] = (pair.cost, c), (pair.cost, c.T)
-    ways = []
+    composed = []
     for i, j in edges.tolist():
         through = [(found[i, k], found[k, j]) for k in range(edges.max() + 1) if (i, k) in found and (k, j) in found]
         through.sort(key=lambda pair: max(cost for cost, _ in pair))
-        ways.append([first @ second for (_, first), (_, second) in through[:_AROUND]])
-    return ways
+        composed.append([first @ second for (_, first), (_, second) in through[:_COMPOSED]])
+    return composed
 
 
 def _refuse_mirrored(shapes: Sequence[SampledShape], edges: np.ndarray, matches: Sequence[PairMatch]) -> None:
@@ -415,5 +417,6 @@ def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path 
     found = match(first, second)
     file.parent.mkdir(parents=True, exist_ok=True)
     with replacing(file) as stream:
-        np.savez(stream, c_ij=found.c_ij, numbers=[found.distortion, found.orientation, found.mirrored_distortion])
+        numbers = [found.distortion, found.orientation, found.mirrored_distortion, found.missed]
+        np.savez(stream, c_ij=found.c_ij, numbers=numbers)
     return found

@@ -29,5 +29,5 @@ def test_the_large_problem_is_described_by_one_solve():
     row = speed.large(60)
     assert row["n_nodes"] == 60
     assert row["maps"] == row["n_edges"] * 400 * 8 / 1e9
-    assert row["peak"] > row["maps"]
+    assert row["maps"] < row["peak"] < 10
     assert row["seconds"] > 0

@@ -119,7 +119,7 @@ def test_zoomout_of_the_true_map_stays_there(synced):
     assert np.linalg.norm(reached - b.shape.vertices[a.samples], axis=1).mean() < 0.06
 
 
-def test_a_way_around_repairs_wrong_maps_that_agree_with_each_other(synced):
+def test_two_hop_compositions_repair_wrong_maps_that_agree_with_each_other(synced):
     """A shape whose maps to two of three others are mirrored alike: each of these triangles closes."""
     flip, n, light = data_gen.left_right_flip(1000), synced.problem.n, [s.light(pairwise.FINE) for s in synced.shapes]
     own = synced.shapes[1].basis
@@ -134,10 +134,10 @@ def test_a_way_around_repairs_wrong_maps_that_agree_with_each_other(synced):
     repaired = synchronize.with_proposals(each, light, synced.edges, matches, lambda _: wrong)
     for found, right in zip(repaired, synced.matches, strict=True):
         assert found.cost < right.cost + 0.01
-    ways = synchronize.compositions(synced.edges, synced.matches, n)
+    composed = synchronize.compositions(synced.edges, synced.matches, n)
     maps = {tuple(e): m.c_ij[:n, :n] for e, m in zip(synced.edges.tolist(), synced.matches)}
-    assert len(ways[0]) == 2  # from 0 to 1 through 2 and through 3
-    assert any(np.array_equal(c, maps[0, 2] @ maps[1, 2].T) for c in ways[0])
+    assert len(composed[0]) == 2  # from 0 to 1 through 2 and through 3
+    assert any(np.array_equal(c, maps[0, 2] @ maps[1, 2].T) for c in composed[0])
 
 
 def test_signs_are_found():
@@ -317,6 +317,9 @@ def test_thin_draws_and_pairs_that_mix_left_and_right_are_flagged(synced):
     assert "R-hat" in said
     assert "do not rely on the regions" in said
     assert "cat0–cat1" in said
+    mixed = (*synced.shapes[:3], replace(synced.shapes[3], orientation=None))  # a point cloud among meshes
+    (line,) = [x for x in quality_flags(replace(synced, shapes=mixed, matches=matches)) if "left and right apart" in x]
+    assert "cat0–cat1" in line
 
 
 def test_a_mesh_that_is_not_a_manifold(cats):
