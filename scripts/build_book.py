@@ -74,7 +74,8 @@ def main() -> int:
     get_cache(str(folder)).db  # noqa: B018  creates the database before two processes would
     with tempfile.TemporaryDirectory() as profile, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         os.environ["IPYTHONDIR"] = quiet_profile(Path(profile))
-        failures = [f for f in pool.map(execute, pages(), repeat(folder)) if f]
+        longest_first = sorted(pages(), key=lambda page: -page.stat().st_size)  # no core waits for a long last page
+        failures = [f for f in pool.map(execute, longest_first, repeat(folder)) if f]
     if failures:
         print(*failures, sep="\n\n")
         return 1
