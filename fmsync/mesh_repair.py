@@ -98,7 +98,8 @@ def filled(vertices: np.ndarray, faces: np.ndarray, longest: float) -> np.ndarra
     ([[2, 1, 0], [0, 3, 2]], 4)
     """
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    codes, label, count = np.unique(np.sort(ends, axis=1) @ [len(vertices), 1], return_inverse=True, return_counts=True)
+    sides = edges_of_faces(faces) @ [len(vertices), 1]
+    codes, label, count = np.unique(sides, return_inverse=True, return_counts=True)
     following: dict[int, list[int]] = {}
     for after, before in ends[count[label] == 1].tolist():  # against the direction of the faces beside it
         following.setdefault(before, []).append(after)

@@ -93,7 +93,7 @@ def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values
 
     Of i and j each: basis functions at samples (S, m), their pseudo-inverses, and the values (S, M).
     """
-    first, second = (x.astype(np.float32) for x in values)  # enough to tell which sample is nearest, in half the time
+    first, second = (x.astype(np.float32) for x in values)  # enough to tell which sample is nearest
     there, again = nearest_rows(first, second), nearest_rows(second, first)
     both = back[0] @ at[1][there], (back[1] @ at[0][again]).T
     return min(both, key=lambda c: np.linalg.norm(c.T @ c - np.eye(len(c))))

@@ -174,12 +174,11 @@ def synchronize_shapes(
     """Consistent functional maps of shapes, from the shapes alone or from given ``maps``, with posterior draws.
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
-    robust synchronisation; synchronised maps, and two-hop compositions, proposed to every pair, taken
-    where they keep distances better; posterior with inferred concentration; larger maps through functions that all
-    shapes share. A shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names
-    become ``name (shape k)``. Shapes that are unlike the rest are named in a warning, or left out
-    (:mod:`fmsync.matching.outliers`). Small holes are closed for bases and distances, not in ``shapes``,
-    unless maps are given.
+    robust synchronisation; synchronised maps and two-hop compositions proposed to every pair, taken where they keep
+    distances better; posterior with inferred concentration; larger maps through functions that all shapes share. A
+    shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names become ``name
+    (shape k)``. Shapes that are unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
+    Unless maps are given, small holes are closed for bases and distances, not in ``shapes``.
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
     contradict get an inlier weight near 0 in ``estimate.edge_weights``. Of the rest, posterior and points use the best
@@ -222,13 +221,8 @@ def synchronize_shapes(
     given = () if maps is None else checked_maps(maps, shapes, bases, n_basis)
     pairs = np.array([(g.i, g.j) for g in given]) if given else _checked_graph(graph, len(shapes))
     each = parallel(jobs, progress)
-    sampled = tuple(
-        each(
-            "bases",
-            sample_shape,
-            [(s, n_refined, n_samples, n_basis, m, None, not given) for s, m in zip(shapes, marks)],
-        )
-    )
+    each_shape = [(s, n_refined, n_samples, n_basis, m, None, not given) for s, m in zip(shapes, marks)]
+    sampled = tuple(each("bases", sample_shape, each_shape))
     stay, outliers = belonging(sampled, drop_outliers)
     sampled = tuple(sampled[k] for k in stay)
     if not isinstance(pairs, int):
@@ -365,7 +359,7 @@ def with_proposals(
     for k in range(_ROUNDS):
         synchronised = propose(matches)
         composed = compositions(edges, matches, synchronised.shape[-1])
-        proposed = [(light[i], light[j], np.array([c, *c2])) for (i, j), c, c2 in zip(edges, synchronised, composed)]
+        proposed = [(light[i], light[j], np.array([c, *two])) for (i, j), c, two in zip(edges, synchronised, composed)]
         better = each(f"pairs again {k + 1}/{_ROUNDS}", improve, proposed)
         matches = [min(pair, key=lambda m: m.cost) for pair in zip(matches, better)]
     return matches
