@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from jupyter_cache.executors.utils import single_nb_execution
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
 from fmsync_book import cache_folder, notebook_of, pages, surroundings  # noqa: E402
+from forked_kernels import cpu_of_kernels, use_forked_kernels  # noqa: E402
 
 _KEPT_CACHES = 4  # with and without the TOSCA cats, and the two before
 
@@ -39,12 +39,6 @@ def execute(page: Path, folder: Path) -> str | None:
     cache.cache_notebook_bundle(CacheBundleIn(notebook, str(page), data=data), check_validity=False, overwrite=True)
     print(f"executed {page.name} in {result.time:.1f} s", flush=True)
     return None
-
-
-def cpu_of_kernels() -> float:
-    """Seconds of processor time of the kernels that this process has seen end: it runs one page at a time."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def quiet_profile(folder: Path, extension: Path | None = None) -> str:
@@ -72,7 +66,10 @@ def main() -> int:
     for old in sorted(folder.parent.iterdir(), key=lambda p: p.stat().st_mtime)[:-_KEPT_CACHES]:
         shutil.rmtree(old)  # edits of the library leave caches behind
     get_cache(str(folder)).db  # noqa: B018  creates the database before two processes would
-    with tempfile.TemporaryDirectory() as profile, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with (
+        tempfile.TemporaryDirectory() as profile,
+        ProcessPoolExecutor(jobs, get_context("spawn"), use_forked_kernels) as pool,
+    ):
         os.environ["IPYTHONDIR"] = quiet_profile(Path(profile))
         longest_first = sorted(pages(), key=lambda page: -page.stat().st_size)  # no core waits for a long last page
         failures = [f for f in pool.map(execute, longest_first, repeat(folder)) if f]

@@ -23,7 +23,7 @@ from jupyter_cache.executors.utils import single_nb_execution
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(ROOT / "scripts")]
-from build_book import cpu_of_kernels, quiet_profile  # noqa: E402
+from build_book import quiet_profile  # noqa: E402
 from fmsync_book import cache_folder, notebook_of, pages, surroundings  # noqa: E402
 from other_arithmetic import other_arithmetic  # noqa: E402
 
@@ -41,7 +41,7 @@ def shifts(seed: int) -> list[int]:
 
 def run(page: Path, arithmetic: str, shift: int, keep: Path) -> None:
     """Write the record of a page in a world (see ``claims.py``): claims, warnings, what stopped it, its seconds."""
-    began, before = time.perf_counter(), cpu_of_kernels()
+    began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "claims.jsonl"
         profile = quiet_profile(Path(folder), extension=ROOT / "scripts" / "claims.py")
@@ -53,7 +53,6 @@ def run(page: Path, arithmetic: str, shift: int, keep: Path) -> None:
         "claims": [r for r in records if "claim" in r],
         "warnings": [r["warning"] for r in records if "warning" in r],
         "error": (result.exc_string or "").strip().rpartition("\n")[2] or None if result.err else None,
-        "cpu_seconds": round(cpu_of_kernels() - before, 1),
         **{"arithmetic": arithmetic, "shift": shift},
     }
     keep.parent.mkdir(parents=True, exist_ok=True)
