@@ -62,7 +62,7 @@ core:
 
 # in the arithmetic of another processor than make book, so that one machine tests two
 notebook-test: setup
-	python scripts/other_arithmetic.py pytest -q -n $(JOBS) -o addopts= --nbmake --nbmake-timeout=600 book/notebooks
+	python scripts/other_arithmetic.py pytest -q -n $(JOBS) --dist worksteal -o addopts= --nbmake --nbmake-timeout=600 book/notebooks
 
 # last, so that the summary of what was looked at in the browser ends the log
 browser: setup
