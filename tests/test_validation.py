@@ -146,7 +146,7 @@ class Valid:
             rng.standard_normal((4, 5, 5)), 0,
         )  # fmt: skip
         score = rng.random(40)
-        known = Confidence(*np.zeros((6, 40)), 0.9, score, np.ones(40))
+        known = Confidence(*np.zeros((6, 40)), 0.9, score**2, *np.ones((2, 40)))
         edges = problem.edges
         synced = SyncedShapes(
             (one,) * 4, edges, tuple(PairMatch(np.eye(5), 0.1, 1.0) for _ in edges), np.ones(4), problem,

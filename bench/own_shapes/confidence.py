@@ -68,7 +68,7 @@ def observe(
     radii = {q: [evaluation.at(i, k.radius) for (i, _), k in zip(pairs, known)] for q, known in at_samples.items()}
     known = []
     for (i, _), k in zip(pairs, at_samples[0.9]):
-        carried = {name: evaluation.at(i, getattr(k, name)) for name in (*_INDICATORS, "symmetry_radius")}
+        carried = {name: evaluation.at(i, getattr(k, name)) for name in (*_INDICATORS, "fullness", "symmetry_radius")}
         known.append(replace(k, **carried))
     errors = [evaluation.errors(i, j, synced.refined[i], synced.refined[j]).astype(float) for i, j in pairs]
     cycles, cheap = cycle_errors(synced), {"embedding distance": [], "cycle error": []}

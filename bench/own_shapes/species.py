@@ -42,7 +42,7 @@ def fitted(rows: pd.DataFrame) -> ConformalCalibration:
     for (number, _), own in rows.astype(float).groupby(["species", "pair"]):
         numbers.append(int(number))
         # a confidence with this uncertainty score
-        known.append(Confidence(*np.zeros((6, len(own))), 0.9, own["score"].to_numpy(), np.ones(len(own))))
+        known.append(Confidence(*np.zeros((6, len(own))), 0.9, own["score"].to_numpy() ** 2, *np.ones((2, len(own)))))
         errors.append(own["error"].to_numpy())
     return fit_conformal(known, errors, f"{len(set(numbers))} random species", collections=numbers)
 

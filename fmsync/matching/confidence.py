@@ -33,6 +33,8 @@ class Confidence:
       where the map tears, folds or slides; a pure number, which hardly depends on how many samples there are.
     * ``distortion``, the mean change of the geodesic distances to all other samples: of wrong maps, or of shapes that
       are not isometric. Like the local one it indicates errors that all maps share.
+    * ``fullness``, the area nearby relative to that of a plane: below 1 in thin parts, such as a tail, where points
+      have fewer ways to go wrong but go further.
     """
 
     image: np.ndarray
@@ -44,13 +46,15 @@ class Confidence:
     level: float
     local_distortion: np.ndarray
     distortion: np.ndarray
+    fullness: np.ndarray
 
     def uncertainty_score(self) -> np.ndarray:
-        """(S,) larger where errors are likely: local distortion times the root of the pair's mean distortion.
+        r"""(S,) larger where errors are likely: :math:`\sqrt{d\sqrt{D}/f}` of local distortion d and fullness f.
 
-        The first ranks the vertices of a pair; the second makes pairs and collections comparable.
+        These rank the vertices of a pair; its mean distortion D makes pairs and collections comparable. Errors grow
+        more slowly than distortions, hence the root.
         """
-        return self.local_distortion * np.sqrt(self.distortion.mean())
+        return np.sqrt(self.local_distortion * np.sqrt(self.distortion.mean()) / self.fullness)
 
 
 def confidence(
@@ -88,6 +92,7 @@ def confidence(
         level=level,
         local_distortion=local_distortion(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
+        fullness=_near(first).mean(axis=1) / (np.pi * _NEIGHBOURS**2),
     )
 
 
@@ -131,8 +136,12 @@ def local_distortion(first: SampledShape, images: np.ndarray) -> np.ndarray:
     roots of the area, by Gaussian weights: the nearest few samples would lie the closer the more samples there are.
     """
     points, g = first.shape.vertices[first.samples], first.geodesics
-    before, after = cdist(points, points), cdist(images, images)
-    near = np.exp(-((g / _NEIGHBOURS) ** 2))
+    before, after, near = cdist(points, points), cdist(images, images), _near(first)
     change = (near * np.abs(after - before)).sum(axis=1) / np.maximum((near * before).sum(axis=1), 1e-12)
     weights = np.exp(-((g / _AROUND) ** 2))
     return weights @ change / weights.sum(axis=1)
+
+
+def _near(shape: SampledShape) -> np.ndarray:
+    """Gaussian weights (S, S) of samples by their distances."""
+    return np.exp(-((shape.geodesics / _NEIGHBOURS) ** 2))

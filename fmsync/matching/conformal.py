@@ -86,7 +86,7 @@ def fit_conformal(
 
     >>> rng = np.random.default_rng(0)
     >>> score = rng.random(400)
-    >>> known = Confidence(*np.zeros((6, 400)), 0.9, score, np.ones(400))
+    >>> known = Confidence(*np.zeros((6, 400)), 0.9, score**2, *np.ones((2, 400)))
     >>> fitted = fit_conformal([known], [rng.exponential(score)])
     >>> bool(abs(fitted.scale(0.9) / np.log(10) - 1) < 0.2)  # the 90 % quantile of an exponential distribution
     True

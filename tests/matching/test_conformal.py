@@ -11,7 +11,7 @@ def drawn(rng, count, size=30):
     difficulty = np.exp(rng.standard_normal(count))
     sizes = np.tile([2 * size, size], count)
     score = [rng.random(k) + 0.1 for k in sizes]
-    known = [Confidence(*np.zeros((6, len(s))), 0.9, s, np.ones(len(s))) for s in score]
+    known = [Confidence(*np.zeros((6, len(s))), 0.9, s**2, *np.ones((2, len(s)))) for s in score]
     return known, [s * d * rng.exponential(size=len(s)) for s, d in zip(score, np.repeat(difficulty, 2))]
 
 

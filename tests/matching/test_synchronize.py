@@ -170,7 +170,7 @@ def test_conformal_regions_cover_what_they_promise():
     rng = np.random.default_rng(0)
     zeros = np.zeros(4000, dtype=int)
     spread = rng.uniform(0.01, 0.2, 4000)
-    known = Confidence(zeros, spread, spread, spread, zeros > 0, zeros, 0.9, spread, np.ones(4000))
+    known = Confidence(zeros, spread, spread, spread, zeros > 0, zeros, 0.9, spread**2, *np.ones((2, 4000)))
     errors = 3 * spread * rng.exponential(size=4000)
     fitted = fit_conformal([known], [errors])
     fresh = 3 * spread * rng.exponential(size=4000)
@@ -299,6 +299,16 @@ def test_the_uncertainty_score_grows_with_errors_it_has_not_seen(synced):
         scores.append(np.median(replace(synced, refined=refined).confidence(0, 1).uncertainty_score()))
     assert scores == sorted(scores)
     assert 1.5 * scores[0] < scores[2] < scores[3] / 1.5
+
+
+def test_fullness_is_the_area_nearby_over_that_of_a_plane(synced):
+    """Each sample stands for the same area; legs and tails are less full than a plane, backs and bellies are not."""
+    known = synced.confidence(0, 1)
+    weights = np.exp(-((synced.shapes[0].geodesics / 0.1) ** 2))  # their integral over a plane is π 0.1²
+    np.testing.assert_allclose(known.fullness, weights.sum(axis=1) / len(weights) / (np.pi * 0.1**2))
+    assert np.quantile(known.fullness, 0.1) < 0.8 < np.quantile(known.fullness, 0.9)
+    twice = replace(known, fullness=known.fullness / 4)
+    np.testing.assert_allclose(twice.uncertainty_score(), 2 * known.uncertainty_score())
 
 
 def test_images_of_one_vertex(synced):
