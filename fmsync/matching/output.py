@@ -58,7 +58,7 @@ def write_all(
     tables = {i: table for (i, _), (_, table) in written.items() if table is not None}
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
-    np.savez_compressed(folder / "maps.npz", **_packed(synced))
+    np.savez(folder / "maps.npz", **_packed(synced))
     edges = edge_table(synced)
     edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
     flags = "".join(f"\nWARNING: {line}\n" for line in quality_flags(synced))
