@@ -64,8 +64,7 @@ def project(a: np.ndarray) -> np.ndarray:
            [0., 0., 1.]])
     """
     u, _, vt = np.linalg.svd(a)
-    determinant = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # (...)
-    u[..., :, -1] *= determinant[..., None]
+    u[..., :, -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt
 
 
