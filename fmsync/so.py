@@ -15,12 +15,12 @@ from scipy.linalg import expm, schur
 from fmsync import checks
 from fmsync.block_products import add_to, products
 
-# Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
-_SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
+# Square roots are good to rounding where no angle is nearer to π than twice this, after so many steps.
+_LEAST_COSINE, _ROOT_STEPS = 5e-4, 13
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
-_AT_ONCE = 64  # matrices whose powers stay in the cache
+_AT_ONCE = 128  # matrices whose powers stay in the cache
 _interpolant = Chebyshev.interpolate(
     lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
 )
@@ -101,10 +101,10 @@ def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
     The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
-    :math:`f(S)\,K` with f(cos θ) = θ / sin θ: within a quarter turn of I a polynomial of S, otherwise from one
-    symmetric eigenproblem for the rest of the batch. Near θ = π, where f grows without bound, matrices are redone one
-    by one from the real Schur form. At π itself (the cut locus) the logarithm is not unique; one of the shortest is
-    returned.
+    :math:`f(S)\,K` with f(cos θ) = θ / sin θ: within a quarter turn of I a polynomial of S. Otherwise it is twice the
+    logarithm of the square root, all of whose angles are within a quarter turn. Near θ = π, where f grows without
+    bound, matrices are done one by one from the real Schur form. At π itself (the cut locus) the logarithm is not
+    unique; one of the shortest is returned.
 
     >>> log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
     array([[ 0.    , -1.5708],
@@ -120,7 +120,11 @@ def log(r: np.ndarray) -> np.ndarray:
         if _may_be_near(part[:4]).any():  # most batches are near as a whole, or far: then the rest need not be asked
             asked = np.flatnonzero(_may_be_near(part))
             found[asked], near[asked] = _log_series(part[asked])
-        found[~near] = log_eigen_unchecked(part[~near])
+        if (far := np.flatnonzero(~near)).size:
+            roots, good = _square_roots(part[far])
+            found[far] = 2 * _log_series(roots)[0]
+            for index in far[~good]:
+                found[index] = _log_schur(part[index])
     return omega.reshape(r.shape)
 
 
@@ -150,20 +154,21 @@ def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return skew(products(total, skew(r))), near
 
 
-def log_eigen_unchecked(flat: np.ndarray) -> np.ndarray:
-    """Logarithms (B, n, n) from eigenvectors of the symmetric parts, or the Schur form where they are too rough."""
-    skewed = skew(flat)
-    cosine, v = np.linalg.eigh(sym(flat))
-    moved = skewed @ v
-    sine = np.sqrt((moved**2).sum(axis=-2))  # (B, n)
-    angle = np.arctan2(sine, cosine)
-    ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
-    rough = (v * ratio[:, None, :]) @ transpose(moved)  # -f(S) K
-    omega = skew(-rough)
-    trusted = np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE
-    for index in np.flatnonzero(~(trusted & (angle.max(axis=-1, initial=0) < _MOST))):
-        omega[index] = _log_schur(flat[index])
-    return omega
+def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r"""Rotations (B, n, n) of half the angles, and of which matrices they are good: those without angles near π.
+
+    :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor, by
+    scaled Newton-Schulz steps :math:`X \leftarrow sX(3I - s^2X^\top X)/2` (Chen & Chow 2014).
+    """
+    roots, least = (np.eye(r.shape[-1]) + r) / 2, _LEAST_COSINE
+    for _ in range(_ROOT_STEPS):
+        scale = np.sqrt(3 / (1 + least + least**2))
+        least *= scale * (3 - (scale * least) ** 2) / 2
+        step = products(roots, roots, transposed=True)
+        step *= -0.5 * scale**3
+        np.einsum("bii->bi", step)[:] += 1.5 * scale
+        roots = roots @ step
+    return roots, np.abs(step - np.eye(r.shape[-1])).max(axis=(1, 2)) < 1e-8  # the next step would do nothing
 
 
 def _log_schur(r: np.ndarray) -> np.ndarray:
