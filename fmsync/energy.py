@@ -109,9 +109,10 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     With :math:`A = C_i^\top C_j` and :math:`\Lambda = \log(C_{ij}^\top A)` an edge adds 2wΛ to g_j and
     :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
     """
-    return geodesic_energy_and_gradient(problem, c)[1]
+    return geodesic_energy_and_gradient_unchecked(problem, c)[1]
 
 
+@checks.checked(c="... N n n rotations")
 def geodesic_energy_and_gradient(problem: SyncProblem, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """:func:`geodesic_energy` (...) and :func:`geodesic_gradient` (..., N, n, n) from the same logarithms."""
     logarithms = so.log_unchecked(transpose(problem.maps) @ relative_maps(c, problem.edges))  # (..., E, n, n)
@@ -151,4 +152,4 @@ transposed_sums_unchecked = checks.unchecked(transposed_sums)
 energy_unchecked, gradient_unchecked = checks.unchecked(energy), checks.unchecked(gradient)
 squared_residuals_unchecked = checks.unchecked(squared_residuals)
 unconstrained_energy_unchecked = checks.unchecked(unconstrained_energy)
-geodesic_energy_unchecked = checks.unchecked(geodesic_energy)
+geodesic_energy_and_gradient_unchecked = checks.unchecked(geodesic_energy_and_gradient)

@@ -118,7 +118,7 @@ class RLFM(Sampler):
         if self._known is None:
             problem, c = self._problem, self._c
             if not self._euclidean:
-                self._known = energy.geodesic_energy_and_gradient(problem, c)
+                self._known = energy.geodesic_energy_and_gradient_unchecked(problem, c)
             else:
                 sums = energy.neighbour_sums_unchecked(problem, c)
                 if self._constrained:
