@@ -71,6 +71,31 @@ def _add_in_turn(out: np.ndarray, fixed: tuple[np.ndarray, ...]) -> None:
         _add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
 
 
+@numba.njit(cache=True, nogil=True)
+def newton_schulz(x: np.ndarray, least: float, steps: int, last: np.ndarray) -> None:
+    r"""Take x (B, n, n), C-contiguous, to their polar factors in place: :math:`X \leftarrow sX(3I - s^2X^\top X)/2`.
+
+    The scales s are the best for singular values in [least, 1] (Chen & Chow 2014). ``last`` (B,) gets the largest entry
+    by which the right factor of the last step differed from I.
+    """
+    n = x.shape[1]
+    here, there, factor = np.empty(n * n), np.empty(n * n), np.empty(n * n)
+    for k in range(len(x)):
+        here[:], low = x[k].reshape(-1), least
+        for _ in range(steps):
+            s = np.sqrt(3 / (1 + low + low * low))
+            low *= s * (3 - s * s * low * low) / 2
+            factor[:] = 0.0
+            factor[:: n + 1] = 1.5 * s
+            _add_product(factor, here, here, (0, 0, 0), (1, n), (n, n, n), -0.5 * s**3)
+            there[:] = 0.0
+            _add_product(there, here, factor, (0, 0, 0), (n, 1), (n, n, n), 1.0)
+            here, there = there, here
+        x[k] = here.reshape(n, n)
+        factor[:: n + 1] -= 1.0
+        last[k] = np.abs(factor).max()
+
+
 @_intrinsic  # type: ignore[untyped-decorator]
 def _add_product(
     context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any

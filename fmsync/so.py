@@ -13,14 +13,14 @@ from numpy.polynomial import Chebyshev, Polynomial
 from scipy.linalg import expm, schur
 
 from fmsync import checks
-from fmsync.block_products import add_to, products
+from fmsync.block_products import add_to, newton_schulz, products
 
-# Square roots are good to rounding where no angle is nearer to π than twice this, after so many steps.
+# Square roots are good to rounding after so many steps where no cos θ/2 is below: no angle within 1e-3 of π.
 _LEAST_COSINE, _ROOT_STEPS = 5e-4, 13
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
-_AT_ONCE = 128  # matrices whose powers stay in the cache
+_AT_ONCE = 64  # matrices whose powers stay in the cache
 _interpolant = Chebyshev.interpolate(
     lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
 )
@@ -157,18 +157,11 @@ def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     r"""Rotations (B, n, n) of half the angles, and of which matrices they are good: those without angles near π.
 
-    :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor, by
-    scaled Newton-Schulz steps :math:`X \leftarrow sX(3I - s^2X^\top X)/2` (Chen & Chow 2014).
+    :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor.
     """
-    roots, least = (np.eye(r.shape[-1]) + r) / 2, _LEAST_COSINE
-    for _ in range(_ROOT_STEPS):
-        scale = np.sqrt(3 / (1 + least + least**2))
-        least *= scale * (3 - (scale * least) ** 2) / 2
-        step = products(roots, roots, transposed=True)
-        step *= -0.5 * scale**3
-        np.einsum("bii->bi", step)[:] += 1.5 * scale
-        roots = roots @ step
-    return roots, np.abs(step - np.eye(r.shape[-1])).max(axis=(1, 2)) < 1e-8  # the next step would do nothing
+    roots, last = (np.eye(r.shape[-1]) + r) / 2, np.empty(len(r))
+    newton_schulz(roots, _LEAST_COSINE, _ROOT_STEPS, last)
+    return roots, last < 1e-8  # one more step would do nothing
 
 
 def _log_schur(r: np.ndarray) -> np.ndarray:
