@@ -159,7 +159,7 @@ def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor.
     """
-    roots, last = (np.eye(r.shape[-1]) + r) / 2, np.empty(len(r))
+    roots, last = np.ascontiguousarray(r + np.eye(r.shape[-1])) / 2, np.empty(len(r))
     newton_schulz(roots, _LEAST_COSINE, _ROOT_STEPS, last)
     return roots, last < 1e-8  # one more step would do nothing
 
