@@ -21,15 +21,9 @@ _intrinsic: Any = intrinsic  # its own type counts the context among the argumen
 def products(left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
     """``left @ right`` of (B, n, k) and (B, k, m); with ``transposed`` ``left`` are (B, k, n)."""
     rows = left.shape[2 if transposed else 1]
-    out = np.zeros((len(left), rows, right.shape[2]), np.result_type(left, right))
-    add_to(out, left, right, transposed=transposed)
-    return out
-
-
-def add_to(out: np.ndarray, left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> None:
-    """Add :func:`products` to ``out`` (B, n, m), which is C-contiguous."""
-    every = np.arange(len(left))
+    out, every = np.zeros((len(left), rows, right.shape[2]), np.result_type(left, right)), np.arange(len(left))
     add_products(out, every, left, every, np.full(len(left), transposed), right, every)
+    return out
 
 
 def add_products(
@@ -68,38 +62,11 @@ def _add_in_turn(out: np.ndarray, fixed: tuple[np.ndarray, ...]) -> None:
             _fetch(b, second[t + 1], inner * columns)
         steps = (1, rows) if transposed[t] else (inner, 1)
         places = to[t] * rows * columns, first[t] * rows * inner, second[t] * inner * columns
-        _add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
-
-
-@numba.njit(cache=True, nogil=True)
-def newton_schulz(x: np.ndarray, least: float, steps: int, last: np.ndarray) -> None:
-    r"""Take x (B, n, n), C-contiguous, to their polar factors in place: :math:`X \leftarrow sX(3I - s^2X^\top X)/2`.
-
-    The scales s are the best for singular values in [least, 1] (Chen & Chow 2014). ``last`` (B,) gets the largest entry
-    by which the right factor of the last step differed from I.
-    """
-    n = x.shape[1]
-    here, there, factor = np.empty(n * n), np.empty(n * n), np.empty(n * n)
-    for k in range(len(x)):
-        here[:], low = x[k].reshape(-1), least
-        for _ in range(steps):
-            s = np.sqrt(3 / (1 + low + low * low))
-            low *= s * (3 - s * s * low * low) / 2
-            factor[:] = 0.0
-            factor[:: n + 1] = 1.5 * s
-            _add_product(factor, here, here, (0, 0, 0), (1, n), (n, n, n), -0.5 * s**3)
-            there[:] = 0.0
-            _add_product(there, here, factor, (0, 0, 0), (n, 1), (n, n, n), 1.0)
-            here, there = there, here
-        x[k] = here.reshape(n, n)
-        factor[:: n + 1] -= 1.0
-        last[k] = np.abs(factor).max()
+        add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def _add_product(
-    context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any
-) -> Any:
+def add_product(context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any) -> Any:
     """``out += weight * left @ right`` of shape = (rows, inner, columns), each from its place in a flat array.
 
     ``out`` and ``right`` are contiguous, neighbours in a column and a row of ``left`` are ``steps`` apart.

@@ -13,14 +13,14 @@ from numpy.polynomial import Chebyshev, Polynomial
 from scipy.linalg import expm, schur
 
 from fmsync import checks
-from fmsync.block_products import add_to, newton_schulz, products
+from fmsync.log_kernels import log_series, newton_schulz
 
 # Square roots are good to rounding after so many steps where no cos θ/2 is below: no angle within 1e-3 of π.
 _LEAST_COSINE, _ROOT_STEPS = 5e-4, 13
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
-_AT_ONCE = 64  # matrices whose powers stay in the cache
+_AT_ONCE = 128  # logarithms: what comes between stays in the cache
 _interpolant = Chebyshev.interpolate(
     lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
 )
@@ -116,42 +116,23 @@ def log(r: np.ndarray) -> np.ndarray:
     omega = np.empty(flat.shape)
     for first in range(0, len(flat), _AT_ONCE):
         part, found = flat[first : first + _AT_ONCE], omega[first : first + _AT_ONCE]
-        near = np.zeros(len(part), bool)
-        if _may_be_near(part[:4]).any():  # most batches are near as a whole, or far: then the rest need not be asked
-            asked = np.flatnonzero(_may_be_near(part))
-            found[asked], near[asked] = _log_series(part[asked])
+        found[:], near = _log_series(part)
         if (far := np.flatnonzero(~near)).size:
             roots, good = _square_roots(part[far])
-            found[far] = 2 * _log_series(roots)[0]
+            found[far] = 2 * _log_series(roots, np.inf)[0]
             for index in far[~good]:
                 found[index] = _log_schur(part[index])
     return omega.reshape(r.shape)
 
 
-def _may_be_near(r: np.ndarray) -> np.ndarray:
-    r"""(B,) no where :math:`\lVert X^2\rVert_F^2 / \sqrt n`, at most :math:`\lVert X^4\rVert_F`, is too much."""
-    x = np.eye(r.shape[-1]) - sym(r)
-    square = x @ x / 4  # symmetric, (B, n, n)
-    return np.einsum("bij,bij->b", square, square) < r.shape[-1] ** 0.5 * _SERIES_REACH**4
-
-
-def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _log_series(r: np.ndarray, reach: float = _SERIES_REACH) -> tuple[np.ndarray, np.ndarray]:
     r"""Logarithms (B, n, n), and of which matrices they are good: those whose angles are clearly below π/2.
 
-    With :math:`X = (I - S)/2`, whose eigenvalues are :math:`\sin^2(\theta/2)`, the largest is at most
-    :math:`\lVert X^4\rVert_F^{1/4}`. Horner's rule in the fourth power of X.
+    Beyond ``reach``, a bound of :math:`\sin^2(\theta/2)`, they are left out.
     """
-    powers = np.empty((4, *r.shape))
-    powers[0], powers[1] = np.eye(r.shape[-1]), (np.eye(r.shape[-1]) - sym(r)) / 2
-    powers[2] = products(powers[1], powers[1])
-    powers[3] = products(powers[2], powers[1])
-    fourth = products(powers[2], powers[2])
-    near = np.einsum("bij,bij->b", fourth, fourth) < _SERIES_REACH**8
-    *lower, total = np.tensordot(_SERIES, powers, 1)
-    for part in lower[::-1]:
-        add_to(part, fourth, total)
-        total = part
-    return skew(products(total, skew(r))), near
+    out, near = np.empty(r.shape), np.empty(len(r), bool)
+    log_series(np.ascontiguousarray(r), _SERIES, reach, out, near)
+    return out, near
 
 
 def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
