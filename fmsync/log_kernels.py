@@ -65,16 +65,18 @@ def newton_schulz(x: np.ndarray, least: float, steps: int, last: np.ndarray) -> 
     shape, rows, columns = (n, n, n), (n, 1), (1, n)
     here, there, factor = np.empty(n * n), np.empty(n * n), np.empty(n * n)
     for k in range(len(x)):
-        here[:], low = x[k].reshape(-1), least
+        flat, low, worst = x[k].reshape(-1), least, 0.0
+        here[:] = flat
         for _ in range(steps):
             s = np.sqrt(3 / (1 + low + low * low))
             low *= s * (3 - s * s * low * low) / 2
-            factor[:] = 0.0
-            factor[:: n + 1] = 1.5 * s
-            add_product(factor, here, here, _WHOLE, columns, shape, -0.5 * s**3)
-            there[:] = 0.0
+            there[:], factor[:] = 0.0, 0.0
+            for a in range(n):
+                factor[a * n + a] = 1.5 * s
+            add_product(factor, here, here, _WHOLE, columns, shape, -0.5 * s * s * s)
             add_product(there, here, factor, _WHOLE, rows, shape, 1.0)
             here, there = there, here
-        x[k] = here.reshape(n, n)
-        factor[:: n + 1] -= 1.0
-        last[k] = np.abs(factor).max()
+        flat[:] = here
+        for a in range(n * n):
+            worst = max(worst, abs(factor[a] - (a % (n + 1) == 0)))
+        last[k] = worst

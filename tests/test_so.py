@@ -147,6 +147,8 @@ class TestLog:
     def test_identity_and_batches(self):
         assert np.abs(so.log(np.eye(6))).max() < 1e-12
         assert so.log(np.zeros((0, 4, 4))).shape == (0, 4, 4)
+        several = so.random_uniform(6, (3, 2), rng=1)  # far from the identity, and read along columns
+        np.testing.assert_allclose(so.log(so.transpose(several)), -so.log(several), atol=1e-12)
 
 
 class TestDist:
