@@ -98,10 +98,13 @@ def measure(planted: Planted, answer: Answer) -> list[list]:
 def _measure_draws(planted: Planted, draws: np.ndarray, edges: np.ndarray) -> Iterator:
     chosen = draws[thinned(len(draws), _MOST_DRAWS)]
     edges = edges[thinned(len(edges), _MOST_EDGES)]
-    truth = planted.relative(edges)
-    relative = np.swapaxes(chosen[:, edges[:, 0]], -1, -2) @ chosen[:, edges[:, 1]]
-    yield "energy_score", None, calibration.energy_score(relative, truth)
-    coverage = calibration.covered(relative, truth, LEVELS).mean(axis=1)
+    scores, inside = [], []
+    for (i, j), truth in zip(edges, planted.relative(edges)):  # edge by edge, what is at work stays in the cache
+        relative = np.swapaxes(chosen[:, i], -1, -2) @ chosen[:, j]
+        scores.append(calibration.energy_score(relative, truth))
+        inside.append(calibration.covered(relative[:, None], truth[None], LEVELS))
+    yield "energy_score", None, np.mean(scores)
+    coverage = np.concatenate(inside, axis=1).mean(axis=1)
     for level, share in zip(LEVELS, coverage):
         yield f"coverage_{round(100 * level)}", None, share
     yield "calibration_error", None, calibration.calibration_error(coverage, LEVELS)

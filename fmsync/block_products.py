@@ -21,15 +21,9 @@ _intrinsic: Any = intrinsic  # its own type counts the context among the argumen
 def products(left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
     """``left @ right`` of (B, n, k) and (B, k, m); with ``transposed`` ``left`` are (B, k, n)."""
     rows = left.shape[2 if transposed else 1]
-    out = np.zeros((len(left), rows, right.shape[2]), np.result_type(left, right))
-    add_to(out, left, right, transposed=transposed)
-    return out
-
-
-def add_to(out: np.ndarray, left: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> None:
-    """Add :func:`products` to ``out`` (B, n, m), which is C-contiguous."""
-    every = np.arange(len(left))
+    out, every = np.zeros((len(left), rows, right.shape[2]), np.result_type(left, right)), np.arange(len(left))
     add_products(out, every, left, every, np.full(len(left), transposed), right, every)
+    return out
 
 
 def add_products(
@@ -68,13 +62,11 @@ def _add_in_turn(out: np.ndarray, fixed: tuple[np.ndarray, ...]) -> None:
             _fetch(b, second[t + 1], inner * columns)
         steps = (1, rows) if transposed[t] else (inner, 1)
         places = to[t] * rows * columns, first[t] * rows * inner, second[t] * inner * columns
-        _add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
+        add_product(c, a, b, places, steps, (rows, inner, columns), weights[t])
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def _add_product(
-    context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any
-) -> Any:
+def add_product(context: Any, out: Any, left: Any, right: Any, places: Any, steps: Any, shape: Any, weight: Any) -> Any:
     """``out += weight * left @ right`` of shape = (rows, inner, columns), each from its place in a flat array.
 
     ``out`` and ``right`` are contiguous, neighbours in a column and a row of ``left`` are ``steps`` apart.

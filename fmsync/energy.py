@@ -5,6 +5,7 @@ accept leading batch axes, e.g. chains.
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from fmsync import checks, so
 from fmsync.block_products import add_products
@@ -108,15 +109,20 @@ def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
     With :math:`A = C_i^\top C_j` and :math:`\Lambda = \log(C_{ij}^\top A)` an edge adds 2wΛ to g_j and
     :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
     """
-    relative = relative_maps(c, problem.edges)
-    pull = 2 * problem.weights[:, None, None] * so.log_unchecked(transpose(problem.maps) @ relative)  # (..., E, n, n)
-    push = relative @ pull @ transpose(relative)
-    g = np.zeros(c.shape)
-    i, j = problem.edges.T
-    nodes_first = np.moveaxis(g, -3, 0)
-    np.add.at(nodes_first, j, np.moveaxis(pull, -3, 0))
-    np.subtract.at(nodes_first, i, np.moveaxis(push, -3, 0))
-    return g
+    return geodesic_energy_and_gradient_unchecked(problem, c)[1]
+
+
+@checks.checked(c="... N n n rotations")
+def geodesic_energy_and_gradient(problem: SyncProblem, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`geodesic_energy` (...) and :func:`geodesic_gradient` (..., N, n, n) from the same logarithms."""
+    logarithms = so.log_unchecked(transpose(problem.maps) @ relative_maps(c, problem.edges))  # (..., E, n, n)
+    energies = np.einsum("...eab,...eab->...e", logarithms, logarithms) @ problem.weights
+    head = c[..., problem.edges[:, 1], :, :]
+    turns = np.moveaxis(head @ logarithms @ transpose(head), -3, 0)  # of the universe: opposite at the two ends
+    start, edge, _, forward = problem.incidence
+    signed = np.where(forward, 2, -2) * problem.weights[edge]
+    sums = csr_array((signed, edge, start), shape=(problem.n_nodes, problem.n_edges)) @ turns.reshape(len(turns), -1)
+    return energies, transpose(c) @ np.moveaxis(sums.reshape(-1, *turns.shape[1:]), 0, -3) @ c
 
 
 @checks.checked()
@@ -146,5 +152,4 @@ transposed_sums_unchecked = checks.unchecked(transposed_sums)
 energy_unchecked, gradient_unchecked = checks.unchecked(energy), checks.unchecked(gradient)
 squared_residuals_unchecked = checks.unchecked(squared_residuals)
 unconstrained_energy_unchecked = checks.unchecked(unconstrained_energy)
-geodesic_energy_unchecked = checks.unchecked(geodesic_energy)
-geodesic_gradient_unchecked = checks.unchecked(geodesic_gradient)
+geodesic_energy_and_gradient_unchecked = checks.unchecked(geodesic_energy_and_gradient)

@@ -33,7 +33,7 @@ def oracle_accuracy(draws: np.ndarray, truth: np.ndarray, counts: np.ndarray | N
     squared = np.empty((len(draws), len(truth)))  # of ‖C_i - Ĉ_i‖ after every draw
     nearest = np.full(truth.shape, np.inf)
     for k, draw in enumerate(draws):
-        np.minimum(nearest, np.abs(np.linalg.solve(draw[0], draw) - target), out=nearest)
+        np.minimum(nearest, np.abs(np.linalg.inv(draw[0]) @ draw - target), out=nearest)
         squared[k] = (nearest**2).sum((1, 2))
     return (1 / (1 + np.sqrt(squared[counts - 1]))).mean(axis=1)
 

@@ -13,14 +13,14 @@ from numpy.polynomial import Chebyshev, Polynomial
 from scipy.linalg import expm, schur
 
 from fmsync import checks
-from fmsync.block_products import add_to, products
+from fmsync.log_kernels import log_series, newton_schulz
 
-# Where the fast logarithm is less skew than this, or an angle comes so near to π, the Schur form is used.
-_SKEW_TOLERANCE, _MOST = 1e-11, np.pi - 1e-5
+# Square roots are good to rounding after so many steps where no cos θ/2 is below: no angle within 1e-3 of π.
+_LEAST_COSINE, _ROOT_STEPS = 5e-4, 13
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
-_AT_ONCE = 64  # matrices whose powers stay in the cache
+_AT_ONCE = 128  # logarithms: what comes between stays in the cache
 _interpolant = Chebyshev.interpolate(
     lambda x: np.arcsin(np.sqrt(x)) / np.sqrt(x * (1 - x)), deg=19, domain=[0, _SERIES_REACH]
 )
@@ -64,8 +64,7 @@ def project(a: np.ndarray) -> np.ndarray:
            [0., 0., 1.]])
     """
     u, _, vt = np.linalg.svd(a)
-    determinant = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # (...)
-    u[..., :, -1] *= determinant[..., None]
+    u[..., :, -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt
 
 
@@ -102,10 +101,10 @@ def log(r: np.ndarray) -> np.ndarray:
     r"""Principal logarithm of rotations (..., n, n): the skew Ω with eigen-angles in [-π, π] and exp Ω = R.
 
     The symmetric part S of R has the eigenvalues cos θ, twice each, and commutes with the skew part K: the logarithm is
-    :math:`f(S)\,K` with f(cos θ) = θ / sin θ: within a quarter turn of I a polynomial of S, otherwise from one
-    symmetric eigenproblem for the rest of the batch. Near θ = π, where f grows without bound, matrices are redone one
-    by one from the real Schur form. At π itself (the cut locus) the logarithm is not unique; one of the shortest is
-    returned.
+    :math:`f(S)\,K` with f(cos θ) = θ / sin θ: within a quarter turn of I a polynomial of S. Otherwise it is twice the
+    logarithm of the square root, all of whose angles are within a quarter turn. Near θ = π, where f grows without
+    bound, matrices are done one by one from the real Schur form. At π itself (the cut locus) the logarithm is not
+    unique; one of the shortest is returned.
 
     >>> log(np.array([[0.0, -1.0], [1.0, 0.0]])).round(4)
     array([[ 0.    , -1.5708],
@@ -117,54 +116,33 @@ def log(r: np.ndarray) -> np.ndarray:
     omega = np.empty(flat.shape)
     for first in range(0, len(flat), _AT_ONCE):
         part, found = flat[first : first + _AT_ONCE], omega[first : first + _AT_ONCE]
-        near = np.zeros(len(part), bool)
-        if _may_be_near(part[:4]).any():  # most batches are near as a whole, or far: then the rest need not be asked
-            asked = np.flatnonzero(_may_be_near(part))
-            found[asked], near[asked] = _log_series(part[asked])
-        found[~near] = log_eigen_unchecked(part[~near])
+        found[:], near = _log_series(part)
+        if (far := np.flatnonzero(~near)).size:
+            roots, good = _square_roots(part[far])
+            found[far] = 2 * _log_series(roots, np.inf)[0]
+            for index in far[~good]:
+                found[index] = _log_schur(part[index])
     return omega.reshape(r.shape)
 
 
-def _may_be_near(r: np.ndarray) -> np.ndarray:
-    r"""(B,) no where :math:`\lVert X^2\rVert_F^2 / \sqrt n`, at most :math:`\lVert X^4\rVert_F`, is too much."""
-    x = np.eye(r.shape[-1]) - sym(r)
-    square = x @ x / 4  # symmetric, (B, n, n)
-    return np.einsum("bij,bij->b", square, square) < r.shape[-1] ** 0.5 * _SERIES_REACH**4
-
-
-def _log_series(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _log_series(r: np.ndarray, reach: float = _SERIES_REACH) -> tuple[np.ndarray, np.ndarray]:
     r"""Logarithms (B, n, n), and of which matrices they are good: those whose angles are clearly below π/2.
 
-    With :math:`X = (I - S)/2`, whose eigenvalues are :math:`\sin^2(\theta/2)`, the largest is at most
-    :math:`\lVert X^4\rVert_F^{1/4}`. Horner's rule in the fourth power of X.
+    Beyond ``reach``, a bound of :math:`\sin^2(\theta/2)`, they are left out.
     """
-    powers = np.empty((4, *r.shape))
-    powers[0], powers[1] = np.eye(r.shape[-1]), (np.eye(r.shape[-1]) - sym(r)) / 2
-    powers[2] = products(powers[1], powers[1])
-    powers[3] = products(powers[2], powers[1])
-    fourth = products(powers[2], powers[2])
-    near = np.einsum("bij,bij->b", fourth, fourth) < _SERIES_REACH**8
-    *lower, total = np.tensordot(_SERIES, powers, 1)
-    for part in lower[::-1]:
-        add_to(part, fourth, total)
-        total = part
-    return skew(products(total, skew(r))), near
+    out, near = np.empty(r.shape), np.empty(len(r), bool)
+    log_series(np.ascontiguousarray(r), _SERIES, reach, out, near)
+    return out, near
 
 
-def log_eigen_unchecked(flat: np.ndarray) -> np.ndarray:
-    """Logarithms (B, n, n) from eigenvectors of the symmetric parts, or the Schur form where they are too rough."""
-    skewed = skew(flat)
-    cosine, v = np.linalg.eigh(sym(flat))
-    moved = skewed @ v
-    sine = np.sqrt((moved**2).sum(axis=-2))  # (B, n)
-    angle = np.arctan2(sine, cosine)
-    ratio = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
-    rough = (v * ratio[:, None, :]) @ transpose(moved)  # -f(S) K
-    omega = skew(-rough)
-    trusted = np.abs(rough + omega).max(axis=(-2, -1), initial=0) < _SKEW_TOLERANCE
-    for index in np.flatnonzero(~(trusted & (angle.max(axis=-1, initial=0) < _MOST))):
-        omega[index] = _log_schur(flat[index])
-    return omega
+def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r"""Rotations (B, n, n) of half the angles, and of which matrices they are good: those without angles near π.
+
+    :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor.
+    """
+    roots, last = np.ascontiguousarray(r + np.eye(r.shape[-1])) / 2, np.empty(len(r))
+    newton_schulz(roots, _LEAST_COSINE, _ROOT_STEPS, last)
+    return roots, last < 1e-8  # one more step would do nothing
 
 
 def _log_schur(r: np.ndarray) -> np.ndarray:

@@ -144,3 +144,16 @@ class TestDerivatives:
         p = PROBLEMS["weighted"]
         c = so.random_uniform(5, (3, 4), rng=1)
         np.testing.assert_allclose(energies.geodesic_gradient(p, c)[2], energies.geodesic_gradient(p, c[2]), atol=1e-9)
+
+    def test_geodesic_energy_and_gradient_by_loop(self):
+        p = PROBLEMS["weighted"]
+        c = so.random_uniform(5, 4, rng=1)
+        energy, gradient = energies.geodesic_energy_and_gradient(p, c)
+        by_loop = np.zeros(c.shape)
+        for (i, j), observed, weight in zip(p.edges, p.maps, p.weights):
+            relative = c[i].T @ c[j]
+            pull = 2 * weight * so.log(observed.T @ relative)
+            by_loop[j] += pull
+            by_loop[i] -= relative @ pull @ relative.T
+        np.testing.assert_allclose(gradient, by_loop, atol=1e-12)
+        assert energy == pytest.approx(energies.geodesic_energy(p, c))

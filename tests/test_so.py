@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 from geomstats.geometry.special_orthogonal import SpecialOrthogonal
 
+from bench.speed import logarithms_by_eigenvectors
 from fmsync import so
 
 
@@ -131,11 +132,23 @@ class TestLog:
         found, near = so._log_series(so.exp(omega))
         assert near.tolist() == [True] * 5 + [False] * 3
         np.testing.assert_allclose(found[near], omega[near], atol=1e-14, rtol=1e-9)
-        np.testing.assert_allclose(so.log_eigen_unchecked(so.exp(omega)), omega, atol=1e-10)
+        np.testing.assert_allclose(logarithms_by_eigenvectors(so.exp(omega)), omega, atol=1e-10)
+
+    @pytest.mark.parametrize("n", [2, 3, 8, 20])
+    def test_square_roots_have_half_the_angles(self, rng, n):
+        """They say for themselves where they are good: as long as no angle is within a thousandth of π."""
+        largest = np.array([0.3, 1.6, 2.5, 3.1, np.pi - 2e-3, np.pi - 1e-6, np.pi])
+        omega = random_skew(rng, (7,), n)
+        omega *= (largest / np.linalg.norm(omega, ord=2, axis=(1, 2)))[:, None, None]
+        found, good = so._square_roots(so.exp(omega))
+        assert good.tolist() == [True] * 5 + [False] * 2
+        np.testing.assert_allclose(found[good], so.exp(omega[good] / 2), atol=1e-12)
 
     def test_identity_and_batches(self):
         assert np.abs(so.log(np.eye(6))).max() < 1e-12
         assert so.log(np.zeros((0, 4, 4))).shape == (0, 4, 4)
+        several = so.random_uniform(6, (3, 2), rng=1)  # far from the identity, and read along columns
+        np.testing.assert_allclose(so.log(so.transpose(several)), -so.log(several), atol=1e-12)
 
 
 class TestDist:

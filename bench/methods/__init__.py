@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.problems import Planted
-from fmsync import estimators, samplers
+from fmsync import diagnostics, estimators, samplers
 from fmsync.estimators.base import ESTIMATORS
 from fmsync.problem import SyncProblem, relative_maps
 from fmsync.registry import near_names
@@ -90,7 +90,7 @@ def sampled(problem: SyncProblem, method: str, *, rng: Rng, **options) -> Answer
     seconds = time.perf_counter() - began
 
     def numbers() -> dict[str, float]:
-        ess = np.fmin.reduce(post.summary().ess_bulk)  # NaN only if nothing varies
+        ess = np.fmin.reduce([diagnostics.ess(x) for x in diagnostics.scalars(post).values()])  # NaN if nothing varies
         return {} if np.isnan(ess) else {"ess_per_second": float(ess) / seconds}
 
     draws = np.swapaxes(post.absolute, 0, 1).reshape(-1, *post.absolute.shape[2:])  # chains take turns

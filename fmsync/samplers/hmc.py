@@ -139,8 +139,7 @@ class HMC(Sampler):
             observed = self._problem.constant - np.einsum("kiab,kiab->k", c, sums)
             gradient = energy.gradient_unchecked(self._problem, c, sums)
         else:
-            observed = energy.geodesic_energy_unchecked(self._problem, c)
-            gradient = energy.geodesic_gradient_unchecked(self._problem, c)
+            observed, gradient = energy.geodesic_energy_and_gradient_unchecked(self._problem, c)
         half = self.inverse_temperature * self.kappa / 2
         potential, gradient = half * observed, half[:, None, None, None] * gradient
         if len(self._field):

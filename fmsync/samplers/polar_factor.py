@@ -196,10 +196,12 @@ def _log_density(squares: np.ndarray, least: float, x: float, mean: float, sigma
         return -np.inf
     logarithm, square = -((x - mean) ** 2) / (2 * sigma2), x * x
     for first in range(0, len(squares), 24):  # one logarithm for many factors, few enough not to overflow
-        product = 1.0
-        for c in range(first, min(first + 24, len(squares))):
-            product *= square - squares[c]
-        logarithm += np.log(abs(product))
+        few = squares[first : first + 24]
+        left, right, odd = 1.0, 1.0, len(few) % 2  # two products, which do not wait for each other
+        for c in range(odd, len(few), 2):
+            left *= square - few[c]
+            right *= square - few[c + 1]
+        logarithm += np.log(abs(left * right * (square - few[0] if odd else 1.0)))
     return logarithm
 
 

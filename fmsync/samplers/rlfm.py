@@ -62,7 +62,7 @@ class RLFM(Sampler):
             start[:, 0] = np.eye(problem.n)  # without the rounding
         self._problem, self._rng, self._age = problem, rng, 0
         self._c = np.ascontiguousarray(start)  # (K, N or N + 1, n, n)
-        self._sums: np.ndarray | None = None  # neighbour sums of the present state, if known
+        self._known: tuple[np.ndarray, np.ndarray] | None = None  # what _evaluated finds for the present state
         self._climbs, self._beta = drift == "printed", kappa / 2
         default = default_step(problem, kappa)
         self._h = default if step is None else step
@@ -86,41 +86,47 @@ class RLFM(Sampler):
         return self.state if self._constrained else so.project_unchecked(self.state)
 
     def energy(self) -> np.ndarray:
-        if not self._constrained:
-            return energy.unconstrained_energy_unchecked(self._problem, self._c)
-        if not self._euclidean:
-            return energy.geodesic_energy_unchecked(self._problem, self._c)
-        return self._problem.constant - np.einsum("kiab,kiab->k", self._c, self._neighbour_sums())
+        return self._evaluated()[0]
 
     def step(self, warmup: bool) -> None:
         fixed = None if self._held is None else self._c[:, self._held].copy()
+        pull = self._evaluated()[1]
         if self._constrained:
             n = self._c.shape[-1]
             flat = self._c.reshape(-1, n, n)  # a view: the state is C-contiguous
             noise = self._rng.standard_normal((len(flat), n * (n - 1) // 2))
-            pull, drift = (self._neighbour_sums().reshape(flat.shape), self._drift) if self._euclidean else (flat, 0.0)
-            omega = langevin_kernels.langevin_tangents(flat, pull, noise, drift, self._noise)  # of V = C Ω
+            sums, drift = (pull.reshape(flat.shape), self._drift) if self._euclidean else (flat, 0.0)
+            omega = langevin_kernels.langevin_tangents(flat, sums, noise, drift, self._noise)  # of V = C Ω
             if not self._euclidean:
-                omega -= self._drift * energy.geodesic_gradient_unchecked(self._problem, self._c).reshape(flat.shape)
+                omega -= self._drift * pull.reshape(flat.shape)
             if self._exp:
                 langevin_kernels.rotate(flat, omega)
             else:
                 self._c = so.qf_unchecked(flat + flat @ omega).reshape(self._c.shape)
         else:
-            gradient = 2 * (self._c @ self._gram - self._neighbour_sums())
             noise = self._rng.standard_normal(self._c.shape)
-            self._c = self._c - self._drift * gradient + self._noise * noise
+            self._c = self._c - self._drift * pull + self._noise * noise
         if fixed is not None:
             self._c[:, self._held] = fixed
-        self._sums = None
+        self._known = None
         self._age += 1
         if self._constrained and self._age % _REPAIR_EVERY == 0:
             self._c = langevin_kernels.reorthonormalised(self._c)
 
-    def _neighbour_sums(self) -> np.ndarray:
-        if self._sums is None:
-            self._sums = energy.neighbour_sums_unchecked(self._problem, self._c)
-        return self._sums
+    def _evaluated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Energies (K,) of the present state and its gradient, of constrained Euclidean ones the neighbour sums."""
+        if self._known is None:
+            problem, c = self._problem, self._c
+            if not self._euclidean:
+                self._known = energy.geodesic_energy_and_gradient_unchecked(problem, c)
+            else:
+                sums = energy.neighbour_sums_unchecked(problem, c)
+                if self._constrained:
+                    self._known = problem.constant - np.einsum("kiab,kiab->k", c, sums), sums
+                else:
+                    gradient = 2 * (c @ self._gram - sums)
+                    self._known = np.einsum("kiab,kiab->k", c, gradient) / 2, gradient
+        return self._known
 
     def _ceiling(self) -> np.ndarray:
         r"""(K,) energies that no sound chain reaches.

@@ -7,7 +7,7 @@ from scipy.special import iv
 import bench.peers  # noqa: F401  registers the peers
 import fmsync
 from fmsync import so
-from fmsync.energy import gradient
+from fmsync.energy import gradient, unconstrained_energy
 from fmsync.estimators.mle_unconstrained import precision
 from fmsync.samplers.rlfm import default_step
 from tests.samplers.helpers import ONE_EDGE_OF_SO20, mean_and_error, noisy, one_edge
@@ -133,6 +133,7 @@ def test_unconstrained_chain_against_its_exact_gaussian():
     states = np.array(states)  # (draws, chains, N, n, n)
     np.testing.assert_array_equal(states[:, :, 0], np.broadcast_to(np.eye(3), states[:, :, 0].shape))
     np.testing.assert_allclose(post.absolute, so.project(states).swapaxes(0, 1))
+    np.testing.assert_allclose(post.energy, unconstrained_energy(p, states).T)
     rows = states[:, :, 1:].transpose(0, 1, 3, 2, 4).reshape(*states.shape[:2], 3, -1)  # row r of C_2..C_N
     values, vectors = np.linalg.eigh(covariance)
     white = (rows - centre.T) @ (vectors / np.sqrt(values))  # standard normal if the law is right
