@@ -21,11 +21,11 @@ _FOLDS = 10
 
 
 def points(number: int) -> pd.DataFrame:
-    """Score and true error of some vertices of every pair of a species."""
+    """Uncertainty score, fullness and true error of some vertices of every pair of a species."""
     with diagnostics.short_run():  # scores do not depend on draws
         seen = observe(species(number), levels=(), n_draws=40)
     rows = [
-        pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "error": errors})
+        pd.DataFrame({"pair": k, "score": known.uncertainty_score(), "fullness": known.fullness, "error": errors})
         for k, (known, errors) in enumerate(zip(seen.known, seen.errors))
     ]
     return pd.concat(rows).assign(species=number).astype("float32")
@@ -41,15 +41,17 @@ def fitted(rows: pd.DataFrame) -> ConformalCalibration:
     numbers, known, errors = [], [], []
     for (number, _), own in rows.astype(float).groupby(["species", "pair"]):
         numbers.append(int(number))
-        # a confidence with this uncertainty score
-        known.append(Confidence(*np.zeros((6, len(own))), 0.9, own["score"].to_numpy() ** 2, *np.ones((2, len(own)))))
+        # a confidence with these scores
+        local, even = own["score"].to_numpy() ** 2, np.ones(len(own))
+        known.append(Confidence(*np.zeros((6, len(own))), 0.9, local, even, own["fullness"].to_numpy()))
         errors.append(own["error"].to_numpy())
     return fit_conformal(known, errors, f"{len(set(numbers))} random species", collections=numbers)
 
 
 def coverage(rows: pd.DataFrame, calibration: ConformalCalibration) -> pd.DataFrame:
     """Share of true images inside the regions of every level, by species."""
-    inside = {str(q): rows["error"] <= calibration.scale(q) * rows["score"] for q in LEVELS}
+    score = rows["score"] / np.sqrt(rows["fullness"])
+    inside = {str(q): rows["error"] <= calibration.scale(q) * score for q in LEVELS}
     return pd.DataFrame(inside).groupby(rows["species"]).mean()
 
 

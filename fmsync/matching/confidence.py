@@ -33,8 +33,7 @@ class Confidence:
       where the map tears, folds or slides; a pure number, which hardly depends on how many samples there are.
     * ``distortion``, the mean change of the geodesic distances to all other samples: of wrong maps, or of shapes that
       are not isometric. Like the local one it indicates errors that all maps share.
-    * ``fullness``, the area nearby relative to that of a plane: below 1 in thin parts, such as a tail, where points
-      have fewer ways to go wrong but go further.
+    * ``fullness``, the area nearby relative to that of a plane: below 1 in thin parts, such as a tail.
     """
 
     image: np.ndarray
@@ -49,12 +48,19 @@ class Confidence:
     fullness: np.ndarray
 
     def uncertainty_score(self) -> np.ndarray:
-        r"""(S,) larger where errors are likely: :math:`\sqrt{d\sqrt{D}/f}` of local distortion d and fullness f.
+        r"""(S,) larger where errors are likely: :math:`\sqrt{c\sqrt{d}}` of local distortions c.
 
-        These rank the vertices of a pair; its mean distortion D makes pairs and collections comparable. Errors grow
+        These rank the vertices of a pair; its mean distortion d makes pairs and collections comparable. Errors grow
         more slowly than distortions, hence the root.
         """
-        return np.sqrt(self.local_distortion * np.sqrt(self.distortion.mean()) / self.fullness)
+        return np.sqrt(self.local_distortion * np.sqrt(self.distortion.mean()))
+
+    def region_score(self) -> np.ndarray:
+        r"""(S,) what radii of regions are multiples of: uncertainty score over :math:`\sqrt f`, f the fullness.
+
+        In thin parts errors are on average what the uncertainty score says, but the largest are larger: along the part.
+        """
+        return self.uncertainty_score() / np.sqrt(self.fullness)
 
 
 def confidence(

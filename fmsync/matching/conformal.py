@@ -16,10 +16,10 @@ LEVELS = (0.25, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)
 
 @dataclass(frozen=True)
 class ConformalCalibration:
-    """The error to expect for an uncertainty score, and how often which multiple of the score is exceeded.
+    """The error to expect for an uncertainty score, and how often which multiple of the region score is exceeded.
 
-    ``fitted_on`` says in words which shapes; ``mean`` is their mean error over mean score. Regions of radius ``scale *
-    score`` held the share ``level`` of the truths, of ``levels`` and ``scales``.
+    ``fitted_on`` says in words which shapes; ``mean`` is their mean error over mean uncertainty score. Regions of
+    radius ``scale * region_score`` held the share ``level`` of the truths, of ``levels`` and ``scales``.
     """
 
     fitted_on: str
@@ -36,12 +36,12 @@ class ConformalCalibration:
     def radius(self, known: Confidence, level: float | None = None) -> np.ndarray:
         """Radii (S,) of regions that hold ``level``, by default that of ``known``, from which on symmetry counts."""
         level = known.level if level is None else level
-        radius = self.scale(level) * known.uncertainty_score()
+        radius = self.scale(level) * known.region_score()
         return np.maximum(radius, known.symmetry_radius) if level >= known.level else radius
 
     @checks.checked(level=checks.probability)
     def scale(self, level: float) -> float:
-        """What scores are multiplied by; ValueError outside the levels it was fitted at."""
+        """What region scores are multiplied by; ValueError outside the levels it was fitted at."""
         if not self.levels[0] <= level <= self.levels[-1]:
             raise ValueError(f"level: {level} is outside {self.levels[0]} to {self.levels[-1]}, where this was fitted")
         return float(np.interp(level, self.levels, self.scales))
@@ -78,7 +78,7 @@ def fit_conformal(
 ) -> ConformalCalibration:
     r"""Calibration from true errors (S,) of each of ``known``: evaluate it on another collection.
 
-    The scale of a level is the conformal quantile of the ratio of error and uncertainty score (Lei et al. 2018): it
+    The scale of a level is the conformal quantile of the ratio of error and region score (Lei et al. 2018): it
     holds for further vertices of the shapes that it was fitted on. ``collections`` says from which of K collections
     each of ``known`` is, and makes it hold for a vertex of a *new* one that is as good as drawn with them (Lee, Barber
     and Willett 2023): every collection has the weight :math:`1/(K+1)`, its vertices share it, and the rest lies at
@@ -91,11 +91,11 @@ def fit_conformal(
     >>> bool(abs(fitted.scale(0.9) / np.log(10) - 1) < 0.2)  # the 90 % quantile of an exponential distribution
     True
     """
-    scores = [k.uncertainty_score() for k in known]
+    scores = [k.region_score() for k in known]
     if len(scores) != len(errors) or any(len(s) != len(e) for s, e in zip(scores, errors)):
         raise ValueError(f"errors: sizes {[*map(len, errors)]} for {[*map(len, scores)]} samples")
-    score, truth = np.concatenate(scores), np.concatenate(errors)
-    ratios = truth / np.maximum(score, 1e-12)
+    truth = np.concatenate(errors)
+    ratios = truth / np.maximum(np.concatenate(scores), 1e-12)
     what, own = "samples", np.arange(len(ratios))
     if collections is not None:
         if len(collections) != len(known):
@@ -107,7 +107,7 @@ def fit_conformal(
     order = np.argsort(ratios, kind="stable")
     shares = np.cumsum(1 / ((len(sizes) + 1) * sizes[own[order]]))
     scales = ratios[order[np.searchsorted(shares, np.array(levels) - 1e-12)]]
-    mean = float(truth.mean() / max(score.mean(), 1e-12))
+    mean = float(truth.mean() / max(np.concatenate([k.uncertainty_score() for k in known]).mean(), 1e-12))
     return ConformalCalibration(fitted_on, mean, tuple(levels), tuple(map(float, scales)))
 
 
