@@ -121,8 +121,10 @@ def geodesic_energy_and_gradient(problem: SyncProblem, c: np.ndarray) -> tuple[n
     turns = np.moveaxis(head @ logarithms @ transpose(head), -3, 0)  # of the universe: opposite at the two ends
     start, edge, _, forward = problem.incidence
     signed = np.where(forward, 2, -2) * problem.weights[edge]
-    sums = csr_array((signed, edge, start), shape=(problem.n_nodes, problem.n_edges)) @ turns.reshape(len(turns), -1)
-    return energies, transpose(c) @ np.moveaxis(sums.reshape(-1, *turns.shape[1:]), 0, -3) @ c
+    sums = csr_array((signed, edge, start), shape=(problem.n_nodes, problem.n_edges)) @ turns.reshape(
+        len(turns), turns[0].size
+    )
+    return energies, transpose(c) @ np.moveaxis(sums.reshape(problem.n_nodes, *turns.shape[1:]), 0, -3) @ c
 
 
 @checks.checked()

@@ -119,8 +119,9 @@ def log(r: np.ndarray) -> np.ndarray:
         found[:], near = _log_series(part)
         if (far := np.flatnonzero(~near)).size:
             roots, good = _square_roots(part[far])
-            found[far] = 2 * _log_series(roots, np.inf)[0]
-            for index in far[~good]:
+            halves, sound = _log_series(roots, np.inf)
+            found[far] = 2 * halves
+            for index in far[~(good & sound)]:
                 found[index] = _log_schur(part[index])
     return omega.reshape(r.shape)
 

@@ -98,7 +98,7 @@ def confidence(
         level=level,
         local_distortion=local_distortion(first, second.shape.vertices[vertex]),
         distortion=np.abs(first.geodesics - g[np.ix_(image, image)]).mean(axis=1),
-        fullness=_near(first).mean(axis=1) / (np.pi * _NEIGHBOURS**2),
+        fullness=_near(first) @ sample_areas(first) / (np.pi * _NEIGHBOURS**2),
     )
 
 
@@ -146,6 +146,13 @@ def local_distortion(first: SampledShape, images: np.ndarray) -> np.ndarray:
     change = (near * np.abs(after - before)).sum(axis=1) / np.maximum((near * before).sum(axis=1), 1e-12)
     weights = np.exp(-((g / _AROUND) ** 2))
     return weights @ change / weights.sum(axis=1)
+
+
+def sample_areas(shape: SampledShape) -> np.ndarray:
+    """Areas (S,) of the vertices to which a sample is the nearest one: a fine part of a mesh has more samples."""
+    points = shape.shape.vertices
+    nearest = cKDTree(points[shape.samples]).query(points)[1]
+    return np.bincount(nearest, shape.basis.mass, minlength=len(shape.samples))
 
 
 def _near(shape: SampledShape) -> np.ndarray:
