@@ -1,45 +1,59 @@
 """Kernels forked from a process that has already imported what every page imports: each saves one to two seconds."""
 
+import multiprocessing
 import os
+import signal
 import sys
+import threading
 from ctypes import c_double
 from importlib.metadata import EntryPoint
-from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 from ipykernel.kernelapp import IPKernelApp
 from jupyter_client.provisioning import KernelProvisionerFactory, LocalProvisioner
 
-_FORKS = get_context("forkserver")
 _seconds: list[c_double] = []
 # what pages take longest to import, and what this module and the program that uses it do: each kernel imports them too
 _IMPORTED = ["data_gen.collections", "fmsync.matching", "fmsync.viz", "pandas", "pyvista"]
 _IMPORTED += ["ipykernel.kernelapp", "jupyter_cache.executors.utils", "myst_nb.core.read", "sphinx.util.docutils"]
+_BUILDERS = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "book" / "_ext")]
 
 
 def use_forked_kernels() -> None:
     """From here on, kernels that this process starts are forked; elsewhere than on Linux that is not safe."""
     if sys.platform != "linux":
         return
-    _FORKS.set_forkserver_preload(_IMPORTED)
+    os.environ["MPLBACKEND"] = (
+        "module://matplotlib_inline.backend_inline"  # kernels set it, but import matplotlib first
+    )
+    multiprocessing.get_context("forkserver").set_forkserver_preload(_IMPORTED)
     factory = KernelProvisionerFactory.instance()
     factory.provisioners["forked"] = EntryPoint("forked", f"{__name__}:Forked", factory.GROUP_NAME)
     factory.default_provisioner_name = "forked"
 
 
 def cpu_of_kernels() -> float:
-    """Seconds of processor time of the kernels that this process has started and seen end."""
+    """Seconds of processor time of the kernels that this process has seen end, without imports that they share."""
     return sum(used.value for used in _seconds) + sum(os.times()[2:4])  # the latter of those that were not forked
 
 
 def _serve(command: list[str], folder: str, environment: dict[str, str], used: c_double) -> None:
     os.setsid()  # whoever stops the kernel stops what it has started
+    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     os.chdir(folder)
     os.environ.update(environment)
+    sys.path[:] = [place for place in sys.path if place not in ("", *_BUILDERS)]  # as in any kernel, and the rest too
+    multiprocessing.set_start_method(None, force=True)
     options = command[command.index("ipykernel_launcher") + 1 :]
-    IPKernelApp.launch_instance([*options, f"--IPKernelApp.parent_handle={os.getppid()}"])  # ends when that ends
+    IPKernelApp.launch_instance([*options, f"--IPKernelApp.parent_handle={os.getppid()}"])  # or it says how to end it
     used.value = sum(os.times()[:4])
+
+
+def _end_with(starter: BaseProcess) -> None:
+    starter.join()
+    os.killpg(0, signal.SIGKILL)
 
 
 class _Started:
@@ -57,13 +71,17 @@ class _Started:
         self._process.join()
         return self._process.exitcode
 
+    def send_signal(self, number: int) -> None:
+        os.kill(self.pid, number)
+
 
 class Forked(LocalProvisioner):
     """Forks kernels; to stop them, it treats them like any other."""
 
     async def launch_kernel(self, cmd: list[str], **kwargs: Any) -> dict[str, Any]:
-        _seconds.append(_FORKS.Value("d", lock=False))
-        process = _FORKS.Process(target=_serve, args=(cmd, kwargs["cwd"], kwargs["env"], _seconds[-1]))
+        forks = multiprocessing.get_context("forkserver")
+        _seconds.append(forks.Value("d", lock=False))
+        process = forks.Process(target=_serve, args=(cmd, kwargs["cwd"], kwargs["env"], _seconds[-1]))
         process.start()
         self.process, self.pid, self.pgid = _Started(process), process.pid, process.pid
         return self.connection_info

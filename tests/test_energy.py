@@ -147,13 +147,16 @@ class TestDerivatives:
 
     def test_geodesic_energy_and_gradient_by_loop(self):
         p = PROBLEMS["weighted"]
-        c = so.random_uniform(5, 4, rng=1)
+        c = so.random_uniform(5, (2, 4), rng=1)
         energy, gradient = energies.geodesic_energy_and_gradient(p, c)
         by_loop = np.zeros(c.shape)
-        for (i, j), observed, weight in zip(p.edges, p.maps, p.weights):
-            relative = c[i].T @ c[j]
-            pull = 2 * weight * so.log(observed.T @ relative)
-            by_loop[j] += pull
-            by_loop[i] -= relative @ pull @ relative.T
+        for state, found in zip(c, by_loop):
+            for (i, j), observed, weight in zip(p.edges, p.maps, p.weights):
+                relative = state[i].T @ state[j]
+                pull = 2 * weight * so.log(observed.T @ relative)
+                found[j] += pull
+                found[i] -= relative @ pull @ relative.T
         np.testing.assert_allclose(gradient, by_loop, atol=1e-12)
-        assert energy == pytest.approx(energies.geodesic_energy(p, c))
+        np.testing.assert_allclose(energy, energies.geodesic_energy(p, c))
+        assert (p.edges[:, 0] > p.edges[:, 1]).any()
+        assert energies.geodesic_gradient(p, c[:0]).shape == (0, 4, 5, 5)
