@@ -75,7 +75,7 @@ def test_status_tells_what_ran_and_what_did_not():
     lines = book.status_table([ran, missing], {ran: data})
     assert "| {doc}`/chapters/ran` | 90 | 60 | passed |" in lines
     assert "| {doc}`/chapters/missing` | – | – | not run |" in lines
-    assert "Together 1.0 CPU-minutes." in lines
+    assert "Together 1.0 CPU-minutes, without the imports that all share." in lines
     assert "- **Machine:** a machine" in lines
     assert any(line.startswith("- **Versions:** fmsync ") for line in lines)
 

@@ -229,7 +229,7 @@ def status_table(files: list[Path], found: dict[Path, dict]) -> list[str]:
         told.append("passed" if page in found else "not run")
         lines.append(f"| {{doc}}`/{page.parent.name}/{page.stem}` | {' | '.join(told)} |")
     total = sum(data.get("cpu_seconds", 0) for data in found.values())  # what another tool executed has no such entry
-    lines += ["", f"Together {total / 60:.1f} CPU-minutes.", ""]
+    lines += ["", f"Together {total / 60:.1f} CPU-minutes, without the imports that all share.", ""]
     for name in ("machine", "system", "shapes"):
         values = sorted({data[name] for data in found.values() if name in data}) or ["not known"]
         lines.append(f"- **{name.capitalize()}:** {'; '.join(values)}")
