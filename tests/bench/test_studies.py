@@ -130,7 +130,7 @@ def test_points_of_a_species_are_kept_and_read_again(tmp_path, monkeypatch, obse
     monkeypatch.setattr(species, "observe", lambda shapes, **options: observed)
     monkeypatch.setattr(species, "kept_results", partial(studies.kept_results, jobs=1))
     rows = species.all_points([7], tmp_path)
-    assert list(rows) == ["pair", "score", "error", "species"]
+    assert list(rows) == ["pair", "score", "fullness", "error", "species"]
     assert len(rows) == sum(map(len, observed.errors))
     monkeypatch.setattr(species, "observe", None)
     pd.testing.assert_frame_equal(species.all_points([7], tmp_path), rows)
@@ -139,9 +139,10 @@ def test_points_of_a_species_are_kept_and_read_again(tmp_path, monkeypatch, obse
 def test_species_left_out_are_covered_as_promised():
     rng, count = np.random.default_rng(0), 200
     number = np.repeat(np.arange(count), 60)
-    score = rng.random(len(number)) + 0.1
-    error = np.exp(rng.standard_normal(count))[number] * score * rng.exponential(size=len(number))
+    score, fullness = rng.random((2, len(number))) + 0.1
+    error = np.exp(rng.standard_normal(count))[number] * score / np.sqrt(fullness) * rng.exponential(size=len(number))
     rows = pd.DataFrame({"species": number, "pair": np.arange(len(number)) // 20 % 3, "score": score, "error": error})
+    rows["fullness"] = fullness
     for q, found in species.summary(species.left_out(rows)).items():
         assert abs(found["mean"] - float(q)) < 5 * found["se"]
         assert found["least"] < float(q)
