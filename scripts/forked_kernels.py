@@ -25,9 +25,8 @@ def use_forked_kernels() -> None:
     """From here on, kernels that this process starts are forked; elsewhere than on Linux that is not safe."""
     if sys.platform != "linux":
         return
-    os.environ["MPLBACKEND"] = (
-        "module://matplotlib_inline.backend_inline"  # kernels set it, but import matplotlib first
-    )
+    # a kernel sets it as well, but here matplotlib has been imported by then
+    os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     multiprocessing.get_context("forkserver").set_forkserver_preload(_IMPORTED)
     factory = KernelProvisionerFactory.instance()
     factory.provisioners["forked"] = EntryPoint("forked", f"{__name__}:Forked", factory.GROUP_NAME)

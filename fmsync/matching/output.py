@@ -26,9 +26,7 @@ from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 
 _OF_SHAPES = ("vertices", "faces", "eigenvalues", "eigenfunctions", "mass")
-
 _ROW = "%d,%d" + ",%.5g" * 5 + ",%s"  # vertex, image, lengths, two_modes
-
 _README = Path(__file__).with_name("readme.txt")
 
 
