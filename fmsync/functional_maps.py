@@ -186,8 +186,8 @@ def _distances(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
 
 
 def _closest(rows: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest centre of each row and its distance, a few rows at a time."""
-    parts = (_distances(rows[k : k + _BLOCK], centres) for k in range(0, len(rows), _BLOCK))
+    """The nearest centre of each row and its distance, a few rows at a time, in the precision of the centres."""
+    parts = (_distances(rows[k : k + _BLOCK].astype(centres.dtype), centres) for k in range(0, len(rows), _BLOCK))
     found = [(away.argmin(axis=1), away.min(axis=1)) for away in parts]
     nearest, distance = (np.concatenate(part) for part in zip(*found))
     return nearest, distance
@@ -199,20 +199,24 @@ def _nearest_of_many(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
     A query q that has a target at distance b need not look into the group about c of radius r if ‖q − c‖ > b + r.
     Rows of n eigenfunctions lie on a surface, so that few groups are near, however large n is.
     """
-    rough, there = queries.astype(np.float32), targets.astype(np.float32)  # enough to tell what is far
-    stride = max(1, int(len(there) ** 0.5 / 4))
-    centres = there[::stride]  # (G, n), G about 4 √V
-    (group, away), (closest, _) = _closest(there, centres), _closest(rough, centres)
+    stride = max(1, int(len(targets) ** 0.5 / 4))
+    centres = targets[::stride].astype(np.float32)  # (G, n), G about 4 √V; single precision tells what is far
+    (group, away), (closest, _) = _closest(targets, centres), _closest(queries, centres)
     radius = np.zeros(len(centres), np.float32)
     group[::stride] = np.arange(len(centres))  # also where centres fall together: no group is empty
     np.maximum.at(radius, group, away)
-    radius += 2e-3 * np.sqrt(max((rows**2).sum(axis=1).max() for rows in (rough, there)))  # what single precision loses
+    squares = np.einsum("vn,vn->v", targets, targets)
+    largest = max(squares.max(), np.einsum("qn,qn->q", queries, queries).max())
+    radius += np.float32(2e-3 * np.sqrt(largest))  # what single precision loses
     nearest = np.empty(len(queries), dtype=np.int64)
-    lifted, ones = _lifted(queries, targets)
     for g in np.unique(closest):
         mine = np.flatnonzero(closest == g)
-        best = _distances(rough[mine], there[group == g]).min(axis=1)  # (Q_g,)
-        away = _distances(rough[mine], centres)  # (Q_g, G)
+        rough = queries[mine].astype(np.float32)
+        best = _distances(rough, targets[group == g].astype(np.float32)).min(axis=1)  # (Q_g,)
+        away = _distances(rough, centres)  # (Q_g, G)
         near = np.flatnonzero((away <= best[:, None] + radius).any(axis=0)[group])
-        nearest[mine] = near[(ones[mine] @ lifted[near].T).argmin(axis=1)]
+        score = queries[mine] @ targets[near].T
+        score *= -2
+        score += squares[near]  # ‖t‖² − 2 q·t, which orders as the distance does
+        nearest[mine] = near[score.argmin(axis=1)]
     return nearest

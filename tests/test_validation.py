@@ -142,8 +142,7 @@ class Valid:
         estimate = fmsync.solve(problem)
         kept = np.arange(20)
         one = SampledShape(
-            self.shape, basis, kept, rng.random((20, 20)), rng.random((n_vertices, 4)), rng.random((5, 4)),
-            rng.standard_normal((4, 5, 5)), 0,
+            self.shape, basis, kept, rng.random((20, 20)), rng.random((5, 4)), rng.standard_normal((4, 5, 5)), 0,
         )  # fmt: skip
         score = rng.random(40)
         known = Confidence(*np.zeros((6, 40)), 0.9, score**2, *np.ones((2, 40)))
@@ -228,6 +227,7 @@ class Valid:
             "fmsync.functional_maps.row_images": {
                 "rows": rng.random((4, 3)), "maps": rng.random((6, 3, 5)), "functions": rng.random((7, 5)),
             },
+            "fmsync.matching.synchronize.SyncedShapes.confidence": {"point_map": order},
             "fmsync.problem.LangevinPrior": {"mean": c, "kappa": np.ones(4)},
             "fmsync.problem.fix_gauge": {"node": 1},
             "fmsync.estimators.rectangular.RectangularSyncProblem": {

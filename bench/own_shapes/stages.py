@@ -14,7 +14,7 @@ from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
 from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.pairwise import FINE, match, zoomout
-from fmsync.matching.samples import SampledShape
+from fmsync.matching.samples import SampledShape, descriptors
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
 
@@ -166,11 +166,11 @@ class Pyfm:
 def pyfm_stages(synced: SyncedShapes, evaluation: Evaluation, matches: list, errors: dict, seconds: dict) -> None:
     """Add pyFM's fit, ZoomOut of it, and Consistent ZoomOut of it and of our maps before and after synchronisation."""
     n, m, edges, pairs = synced.problem.n, synced.refined.shape[-1], synced.edges, some_pairs(len(synced.shapes))
-    fine, pyfm = min(FINE, m), Pyfm(synced.shapes)
+    shapes, fine, pyfm = synced.shapes, min(FINE, m), Pyfm(synced.shapes)
 
     def fit(i: int, j: int) -> np.ndarray:
         model = pyfm.model(i, j)
-        model.add_descriptors(synced.shapes[j].descriptors, synced.shapes[i].descriptors)
+        model.add_descriptors(*(descriptors(s.basis, s.samples[: s.n_landmarks]) for s in (shapes[j], shapes[i])))
         model.fit(K=(n, n))  # its own default weights
         return model.FM_12
 

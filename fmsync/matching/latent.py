@@ -7,6 +7,7 @@ Points are compared by the values of these functions (Consistent ZoomOut, Huang 
 """
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,22 +69,29 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
     return transpose(vectors.reshape(n_shapes, k, shared)) * scale[:, None, None]
 
 
-def upsample(shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray, sizes: Iterable[int]) -> np.ndarray:
+def upsample(
+    shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray, sizes: Iterable[int], jobs: int = 1
+) -> np.ndarray:
     """Latent maps (N, M, m) with orthonormal rows, m the last of ``sizes``, from maps (E, k, k) of the pairs.
 
     At every size points are matched by latent functions, in both directions, and the direction whose least-squares map
     is nearer to orthogonal stands for the pair (Huang et al. 2020). A pair's error does not grow: the next latent
-    functions are again those on which all agree. With orthonormal rows relative maps are exactly consistent.
+    functions are again those on which all agree. With orthonormal rows relative maps are exactly consistent. Pairs are
+    matched in ``jobs`` threads.
     """
-    with single_threaded_blas():
+
+    def matched(at: list[np.ndarray], back: list[np.ndarray], values: list[np.ndarray]) -> np.ndarray:
+        found = pool.map(lambda pair: map_from_values(*([x[k] for k in pair] for x in (at, back, values))), edges)
+        return np.array(list(found))
+
+    with single_threaded_blas(), ThreadPoolExecutor(jobs) as pool:
         latent = latent_maps(len(shapes), edges, maps)
         for size in sizes:
             k = latent.shape[-1]
             at = [s.sampled()[:, :size] for s in shapes]
             back = [np.linalg.pinv(phi) for phi in at]
             values = [phi[:, :k] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
-            maps = np.array([map_from_values(*([x[i], x[j]] for x in (at, back, values))) for i, j in edges])
-            latent = latent_maps(len(shapes), edges, maps)
+            latent = latent_maps(len(shapes), edges, matched(at, back, values))
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
 

@@ -1,9 +1,10 @@
 """What ``fmsync sync`` leaves behind: point maps, functional maps, meshes with scalars, a report."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ from fmsync.matching.report import quality_flags, report
 from fmsync.matching.samples import sample_shape
 from fmsync.matching.synchronize import SyncedShapes
 from fmsync.matching.transferred import transfer, transfer_landmarks
+from fmsync.memory import give_back
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
@@ -39,11 +41,12 @@ def write_all(
         (folder / part).mkdir()
 
     def write_pair(i: int, j: int) -> tuple[Confidence, pd.DataFrame | None]:
-        known = synced.confidence(i, j, level)
+        point_map = synced.point_map(i, j)
+        known = synced.confidence(i, j, level, point_map)
         at_samples = {"region": calibration.radius(known), "expected": calibration.expected(known)}
         at_samples |= {name: getattr(known, name) for name in ("radius", "spread", "entropy", "two_modes")}
         values = samples_to_vertices(synced.shapes[i], np.column_stack([*at_samples.values()]).astype(float))
-        table = pd.DataFrame({"image": synced.point_map(i, j)} | dict(zip(at_samples, values.T)))
+        table = pd.DataFrame({"image": point_map} | dict(zip(at_samples, values.T)))
         table["two_modes"] = table["two_modes"] > 0.5
         stem = folder / "point_maps" / f"{names[i]}_to_{names[j]}"
         np.save(f"{stem}.npy", table["image"].to_numpy(np.int32))
@@ -52,6 +55,7 @@ def write_all(
         )  # four times as fast as DataFrame.to_csv
         lines = [",".join(["vertex", *table]), *(_ROW % row for row in rows), ""]
         Path(f"{stem}.csv").write_text("\n".join(lines), encoding="utf-8")
+        give_back()
         return known, table if j == reference else None
 
     pairs = list(itertools.permutations(range(len(names)), 2))
@@ -62,7 +66,10 @@ def write_all(
     tables = {i: table for (i, _), (_, table) in written.items() if table is not None}
     for i, name in enumerate(names):
         _write_mesh(synced.shapes[i].shape, tables.get(i), folder / "meshes" / name)
-    np.savez(folder / "maps.npz", **_packed(synced))
+    with ZipFile(folder / "maps.npz", "w") as packed:  # as numpy.savez, which would hold all arrays at once
+        for name, array in _packed(synced):
+            with packed.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asarray(array))
     edges = edge_table(synced)
     edges.to_csv(folder / "edges.csv", index=False, float_format="%.4g")
     flags = "".join(f"\nWARNING: {line}\n" for line in quality_flags(synced))
@@ -72,22 +79,22 @@ def write_all(
     (folder / "report.html").write_text(report(synced, known, edges, calibration, level), encoding="utf-8")
 
 
-def _packed(synced: SyncedShapes) -> dict[str, Any]:
+def _packed(synced: SyncedShapes) -> Iterator[tuple[str, Any]]:
     assert synced.posterior is not None, "confidence, above, has refused to go without draws"
     draws = synced.posterior.absolute
-    packed = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "used", "names")}
+    packed: dict[str, Any] = {name: getattr(synced, name) for name in ("refined", "edges", "signs", "used", "names")}
     packed |= {name: getattr(synced.posterior, name) for name in ("energy", "kappa")}
     packed |= {"draws": draws.reshape(-1, *draws.shape[2:]).astype(np.float32), "absolute": synced.estimate.absolute}
     packed |= {"weights": inlier_weights(synced.estimate), "observed": synced.problem.maps}
     packed |= {name: np.array(getattr(synced, name), dtype=str) for name in ("map_names", "outliers")}
     packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion, m.missed) for m in synced.matches]
     packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
+    yield from packed.items()
     for k, s in enumerate(synced.shapes):
         faces = np.empty((0, 3), int) if s.shape.faces is None else s.shape.faces
         parts = s.shape.vertices, faces, s.basis.eigenvalues, s.basis.eigenfunctions.astype(np.float32), s.basis.mass
-        packed |= {f"{name}_{k}": part for name, part in zip(_OF_SHAPES, parts)}
-        packed |= {f"samples_{k}": s.samples, f"landmarks_{k}": s.samples[: s.n_landmarks]}
-    return packed
+        yield from ((f"{name}_{k}", part) for name, part in zip(_OF_SHAPES, parts))
+        yield from ((f"samples_{k}", s.samples), (f"landmarks_{k}", s.samples[: s.n_landmarks]))
 
 
 def load_synced(folder: str | Path) -> SyncedShapes:

@@ -24,16 +24,14 @@ class SampledShape:
 
     ``basis`` are all basis functions, of which maps use the first few; ``samples`` (S,) vertices, of which any first
     few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in
-    square roots of the area, symmetric; ``descriptors`` (V, K) functions of area-weighted norm 1 and mean 0,
-    ``coefficients`` (n, K) theirs in the basis; ``orientation`` (K, n, n) operators that change sign on the mirror
-    image, None for a point cloud.
+    square roots of the area, symmetric; ``coefficients`` (n, K) of :func:`descriptors` in the basis; ``orientation``
+    (K, n, n) operators that change sign on the mirror image, None for a point cloud.
     """
 
     shape: Shape
     basis: Basis
     samples: np.ndarray
     geodesics: np.ndarray
-    descriptors: np.ndarray
     coefficients: np.ndarray
     orientation: np.ndarray | None
     n_landmarks: int = 0
@@ -55,7 +53,6 @@ class SampledShape:
             shape=Shape(self.shape.vertices[own], None, self.shape.name),
             basis=Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own]),
             samples=np.arange(len(own)),
-            descriptors=self.descriptors[own],
             coefficients=self.coefficients[:n],
         )
 
@@ -91,21 +88,25 @@ def sample_shape(
         raise ValueError(f"{shape.name}: {error}") from error
     landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)
     samples = farthest_points(shape.vertices, min(n_samples, shape.n_vertices), landmarks)
-    parts = [f(basis, size) for f, size in zip((heat_kernel_signature, wave_kernel_signature), _DESCRIPTOR_SIZES)]
-    functions = np.hstack([*parts, *([heat_kernel(basis, landmarks, 4)] if len(landmarks) else [])])
-    functions = functions - basis.mass @ functions
-    descriptors = functions / np.sqrt(basis.mass @ functions**2)
-    oriented = None if shape.faces is None else orientation_operators(closed, basis.truncated(n_oriented), descriptors)
+    functions = descriptors(basis, landmarks)
+    oriented = None if shape.faces is None else orientation_operators(closed, basis.truncated(n_oriented), functions)
     return SampledShape(
         shape=shape,
         basis=basis,
         samples=samples,
         geodesics=geodesics_between(closed, samples),
-        descriptors=descriptors,
-        coefficients=basis.coefficients(descriptors),
+        coefficients=basis.coefficients(functions),
         orientation=oriented,
         n_landmarks=len(landmarks),
     )
+
+
+def descriptors(basis: Basis, landmarks: np.ndarray) -> np.ndarray:
+    """Heat and wave kernel signatures, and heat from landmarks (L,): (V, K) of area-weighted norm 1 and mean 0."""
+    parts = [f(basis, size) for f, size in zip((heat_kernel_signature, wave_kernel_signature), _DESCRIPTOR_SIZES)]
+    functions = np.hstack([*parts, *([heat_kernel(basis, landmarks, 4)] if len(landmarks) else [])])
+    functions = functions - basis.mass @ functions
+    return functions / np.sqrt(basis.mass @ functions**2)
 
 
 def farthest_points(points: np.ndarray, size: int, first: np.ndarray | None = None) -> np.ndarray:

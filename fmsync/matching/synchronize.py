@@ -27,6 +27,7 @@ from fmsync.matching.latent import sizes, upsample
 from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
+from fmsync.memory import give_back
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
@@ -113,13 +114,20 @@ class SyncedShapes:
         with single_threaded_blas():
             return nearest_rows(self.shared_functions(i), self.shared_functions(j))
 
-    @checks.checked(i="< N", j="< N", level=checks.probability)
-    def confidence(self, i: int, j: int, level: float = 0.9) -> Confidence:
-        """How far to trust the images on j of the samples of i (ValueError without posterior draws)."""
+    @checks.checked(i="< N", j="< N", level=checks.probability, point_map=checks.plain)
+    def confidence(self, i: int, j: int, level: float = 0.9, point_map: np.ndarray | None = None) -> Confidence:
+        """How far to trust the images on j of the samples of i (ValueError without posterior draws).
+
+        ``point_map`` (V_i,) is :meth:`point_map` of i and j, if that is known already.
+        """
         first, second, draws = self.shapes[i], self.shapes[j], self.draws(i, j, _DRAWS_SHOWN)
         with single_threaded_blas():
             image = self.sample_images(i, j)
-            vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
+            if point_map is None:
+                vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
+            else:
+                own = checks.indices("point_map", point_map, second.shape.n_vertices)
+                vertex = own[checks.indices(f"samples of {first.shape.name}", first.samples, len(own))]
         return confidence(first, second, image, vertex, draws, self.votes(i, j), level)
 
     @checks.checked(i="< N", j="< N")
@@ -246,7 +254,9 @@ def synchronize_shapes(
 
         matches = with_proposals(each, light, edges, matches, proposed)
     map_names = tuple(g.name for g in given)
-    synced = synchronize_matches(sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names, fast)
+    synced = synchronize_matches(
+        sampled, edges, matches, n_basis, n_refined, n_draws, rng, progress, map_names, fast, jobs
+    )
     if given:
         for said in network.unchecked_maps(synced.problem, synced.estimate, synced.names, map_names, given=True):
             warnings.warn(said, stacklevel=3)
@@ -265,6 +275,7 @@ def synchronize_matches(
     progress: bool = False,
     map_names: tuple[str, ...] = (),
     fast: bool = False,
+    jobs: int = 1,
 ) -> SyncedShapes:
     """The last stages of :func:`synchronize_shapes`, from maps of the pairs (E, 2): give it other maps to compare.
 
@@ -279,7 +290,8 @@ def synchronize_matches(
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
     steps = tqdm(sizes(n_basis, n_refined, fast), "refinement", disable=not progress)
-    refined = upsample(shapes, edges[used], start, steps)
+    refined = upsample(shapes, edges[used], start, steps, jobs)
+    give_back()
     return SyncedShapes(
         tuple(shapes), edges, tuple(matches), signs, problem, estimate, posterior, refined, map_names, used
     )
@@ -343,7 +355,9 @@ def parallel(jobs: int, progress: bool) -> Callable[[str, Callable[..., Any], Se
 
     def each(what: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
         tasks = (joblib.delayed(function)(*a) for a in arguments)
-        return list(tqdm(run(tasks), what, len(arguments), disable=not progress))
+        results = list(tqdm(run(tasks), what, len(arguments), disable=not progress))
+        give_back()
+        return results
 
     return each
 

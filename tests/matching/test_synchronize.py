@@ -10,6 +10,7 @@ import fmsync
 from bench.own_shapes.confidence import planted_noise
 from fmsync.matching import fit_conformal, pairwise, synchronize
 from fmsync.matching.confidence import Confidence, local_distortion, two_modes
+from fmsync.matching.latent import upsample
 from fmsync.matching.network import rotation_signs
 from fmsync.matching.report import quality_flags
 from fmsync.matching.samples import farthest_points, geodesics_between, orientation_operators, sample_shape
@@ -59,6 +60,12 @@ def test_small_holes_are_closed_before_spectra_are_compared(cats):
         for shape, fill in ((cat, True), (damaged, True), (damaged, False))
     )
     assert 4 * np.abs(closed - whole).mean() < np.abs(still_open - whole).mean()
+
+
+def test_threads_change_no_refined_map(synced):
+    start = np.array([m.c_ij[:10, :10] for m in synced.matches])
+    alone, together = (upsample(synced.shapes, synced.edges, start, [15, 20], jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(alone, together)
 
 
 def test_point_clouds_have_no_orientation(cats):
@@ -161,6 +168,10 @@ def test_confidence_of_certain_draws_is_a_point(synced):
     known = synced.confidence(0, 1, 0.9)
     assert (known.radius >= 0).all()
     assert (known.entropy >= 0).all()
+    again = synced.confidence(0, 1, 0.9, synced.point_map(0, 1))
+    assert all(np.array_equal(value, getattr(again, name)) for name, value in vars(known).items())
+    with pytest.raises(ValueError, match="samples of"):
+        synced.confidence(0, 1, 0.9, synced.point_map(0, 1)[:2])
     wider = synced.confidence(0, 1, 0.99)
     assert (wider.radius >= known.radius).all()
     assert wider.radius.mean() > known.radius.mean()
