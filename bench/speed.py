@@ -2,7 +2,7 @@
 
 ``python -m bench.speed`` measures each row at least five times, ours and its reference in turn, so that a machine whose
 speed changes meanwhile slows both. One thread, CPU seconds. ``python -m bench.speed large`` solves, once, a problem of
-a million maps; to make it takes 20 GB.
+a million maps; to make it takes 20 GB. ``... workers`` solves and draws in one process and in two, by the clock.
 """
 
 import subprocess
@@ -13,7 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+import joblib
 import numpy as np
+from dask.distributed import Client, LocalCluster
 
 import bench.peers  # noqa: F401  registers the peers
 import data_gen
@@ -147,6 +149,48 @@ def large(n_nodes: int = 100_000) -> dict[str, float]:
     return sizes | {"seconds": taken, "peak": peak_memory() / 1e3, "versions": versions()}
 
 
+def solved(p: fmsync.SyncProblem, seed: int) -> float:
+    """The cost of one of many solves."""
+    with single_threaded_blas():
+        return fmsync.solve(p, rng=seed).cost
+
+
+def sampled(p: fmsync.SyncProblem, seed: int) -> float:
+    """The mean energy of one of many chains."""
+    with fmsync.diagnostics.short_run():
+        return float(
+            fmsync.sample(p, "heat-bath", kappa=8.1, n_chains=1, n_draws=2000, warmup=100, rng=seed).energy.mean()
+        )
+
+
+def workers(tasks: int) -> dict[str, dict[str, dict[str, float]]]:
+    """Seconds by the clock of so many solves and chains, in one process and in two, in turn after one round."""
+    works = {
+        "solves of 1,000 shapes": (solved, problem(1000)),
+        "chains of the heat bath, 11 shapes": (sampled, data_gen.perturb(data_gen.planted(11, N, rng=0), 0.2, 1)),
+    }
+    seeds, found = range(tasks), {}
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+        for what, (work, p) in works.items():
+            sent, each, taken = client.scatter(p, broadcast=True), joblib.delayed(work), []
+            ways = {
+                "one process": lambda work=work, p=p: [work(p, k) for k in seeds],
+                "joblib": lambda each=each, p=p: joblib.Parallel(2)(each(p, k) for k in seeds),
+                "Dask": lambda work=work, p=sent: client.gather([client.submit(work, p, k, pure=False) for k in seeds]),
+            }
+            for _ in range(RUNS + 1):
+                marks = [time.perf_counter()]
+                for way in ways.values():
+                    way()
+                    marks.append(time.perf_counter())
+                taken.append(np.diff(marks))
+            quartiles = np.quantile(taken[1:], [0.25, 0.5, 0.75], axis=0).T
+            found[what] = {
+                way: dict(zip(("low", "seconds", "high"), row.tolist())) for way, row in zip(ways, quartiles)
+            }
+    return found
+
+
 def logarithms_by_eigenvectors(r: np.ndarray) -> np.ndarray:
     """Logarithms (B, n, n) of rotations from the eigenvectors of their symmetric parts, which angles near π spoil."""
     cosine, v = np.linalg.eigh(so.sym(r))
@@ -160,6 +204,10 @@ def main() -> None:
     """Measure, and write the file."""
     if sys.argv[1:] == ["large"]:
         add_part(_TABLE, "large", large(), "python -m bench.speed large")
+        return
+    if sys.argv[1:] == ["workers"]:
+        found = {"tasks": 8, "seconds": workers(8), "versions": versions()}
+        add_part(_TABLE, "workers", found, "python -m bench.speed workers")
         return
     small, middle = problem(100), problem(1000)
     turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
