@@ -15,7 +15,7 @@ from types import FrameType
 
 import joblib
 import numpy as np
-from dask.distributed import Client, LocalCluster
+from distributed import Client, LocalCluster
 
 import bench.peers  # noqa: F401  registers the peers
 import data_gen

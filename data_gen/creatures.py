@@ -70,7 +70,7 @@ def creatures(
     mesher.check_resolution(n_vertices)
     kind = f"{'symmetric' if symmetric else 'asymmetric'}{'-remeshed' * remeshed}"
     made_by = recipe(*SOURCES, "creature_body.py", "creatures.py")
-    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{bend:g}-{made_by}"
+    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{float(bend)!r}-{made_by}"
     made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed, bend))
     return [Creature(name=f"creature{k}", **{field: made[f"{field}{k}"] for field in _ARRAYS}) for k in range(count)]
 
@@ -94,9 +94,7 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed, bend):
         rng = np.random.default_rng([seed, species, k])
         signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
         tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
-        eases = (
-            bend * _EASE**attempt for attempt in range(_DRAWS)
-        )  # each draw is bent a little less than the one before
+        eases = (bend * _EASE**attempt for attempt in range(_DRAWS))  # each draw a little less than the one before
         draws = ((body.pose(rng, ease), ease * tone) for ease in eases)
         fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located, part
         if remeshed:

@@ -57,16 +57,13 @@ def block_lanczos(
             basis = krylov[:used]
 
             image = apply(rows.T).T  # (b, size)
-            # What older blocks than the last two have in common with it is rounding, until eigenpairs have converged:
-            # in single precision the search ends before.
-            near = basis if rows.dtype == np.float64 else basis[-2 * block :]
-            overlap = near @ image.T  # (used or 2 b, b)
-            image -= overlap.T @ near
+            overlap = basis @ image.T  # (used, b)
+            image -= overlap.T @ basis
             projected = np.pad(projected, (0, block))
-            projected[-len(near) :, -block:] = overlap
+            projected[:, -block:] = overlap
 
             # The second pass comes after the normalisation: when the space is exhausted what is left is noise, and this
-            # turns it into fresh directions.
+            # turns it into fresh directions. In single precision the search ends before.
             rows, scale = orthonormal_rows(image)
             if rows.dtype == np.float64:
                 rows = rows - (basis @ rows.T).T @ basis

@@ -5,6 +5,6 @@ import ctypes
 
 
 def give_back() -> None:
-    """Return freed memory, where the C library has a call for it (glibc): it keeps up to a third of a long run's."""
+    """Return freed memory, where the C library has a call for it (glibc)."""
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -11,8 +11,8 @@ The order serves for evaluation, never for maps. Each part is a command, and add
 * ``python -m bench.own_shapes species``: coverage over random species, of which nothing else is read; ``... refit --out
   fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species; ``... outliers``:
   how many shapes that do not belong to a folder are found, and how many others are named; ``... matching``: errors
-  beside pyFM and the bound, regions by part of the body and rates of warnings, on species in four variants; ...
-  ``isometry``: errors and the bound on poses whose joints are bent less.
+  beside pyFM and the bound, regions by part of the body and rates of warnings, on species in four variants;
+  ``... isometry``: errors and the bound on poses whose joints are bent less.
 
 A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """

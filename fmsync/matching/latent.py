@@ -6,6 +6,7 @@ shapes do not share, such as half of a pair of eigenfunctions that the cut at n 
 Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020).
 """
 
+import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -77,14 +78,14 @@ def upsample(
     At every size points are matched by latent functions, in both directions, and the direction whose least-squares map
     is nearer to orthogonal stands for the pair (Huang et al. 2020). A pair's error does not grow: the next latent
     functions are again those on which all agree. With orthonormal rows relative maps are exactly consistent. Pairs are
-    matched in ``jobs`` threads.
+    matched in ``jobs`` threads, at most one a core.
     """
 
     def matched(at: list[np.ndarray], back: list[np.ndarray], values: list[np.ndarray]) -> np.ndarray:
         found = pool.map(lambda pair: map_from_values(*([x[k] for k in pair] for x in (at, back, values))), edges)
         return np.array(list(found))
 
-    with single_threaded_blas(), ThreadPoolExecutor(jobs) as pool:
+    with single_threaded_blas(), ThreadPoolExecutor(min(jobs, os.cpu_count() or 1)) as pool:
         latent = latent_maps(len(shapes), edges, maps)
         for size in sizes:
             k = latent.shape[-1]

@@ -90,6 +90,7 @@ def _packed(synced: SyncedShapes) -> Iterator[tuple[str, Any]]:
     packed["scores"] = [(m.distortion, m.orientation, m.mirrored_distortion, m.missed) for m in synced.matches]
     packed |= {f"c_ij_{e}": m.c_ij for e, m in enumerate(synced.matches)}
     yield from packed.items()
+    del packed
     for k, s in enumerate(synced.shapes):
         faces = np.empty((0, 3), int) if s.shape.faces is None else s.shape.faces
         parts = s.shape.vertices, faces, s.basis.eigenvalues, s.basis.eigenfunctions.astype(np.float32), s.basis.mass

@@ -126,8 +126,10 @@ class SyncedShapes:
             if point_map is None:
                 vertex = nearest_rows(self.shared_functions(i, first.samples), self.shared_functions(j))
             else:
-                own = checks.indices("point_map", point_map, second.shape.n_vertices)
-                vertex = own[checks.indices(f"samples of {first.shape.name}", first.samples, len(own))]
+                own, count = checks.indices("point_map", point_map, second.shape.n_vertices), first.shape.n_vertices
+                if len(own) != count:
+                    raise ValueError(f"point_map: {len(own)} vertices; {first.shape.name} has {count}")
+                vertex = own[first.samples]
         return confidence(first, second, image, vertex, draws, self.votes(i, j), level)
 
     @checks.checked(i="< N", j="< N")
@@ -206,7 +208,8 @@ def synchronize_shapes(
     * ``graph``: ``"complete"``; ``"k"`` + a number: as many neighbours by spectrum, such as ``"k4"``; or pairs (i, j)
       that connect all shapes.
     * ``landmarks``: for each shape the same L <= ``n_samples`` vertices in the same order.
-    * ``jobs``, ``checkpoint``: processes of the pairwise stage, through joblib and its active backend; folder of pairs
+    * ``jobs``, ``checkpoint``: processes of bases and pairs, through joblib and its active backend, and threads of the
+      last stage; folder of pairs
       that are finished. ``progress`` shows a bar for each long stage.
     * ``drop_outliers``: leave out shapes that do not belong: by their spectra or, for ``n_refined`` >= 50, by how their
       maps distort. ``fast``: larger steps in the last stage.
@@ -279,7 +282,8 @@ def synchronize_matches(
 ) -> SyncedShapes:
     """The last stages of :func:`synchronize_shapes`, from maps of the pairs (E, 2): give it other maps to compare.
 
-    Maps with ``map_names`` are given ones: of each pair the best trusted one carries points, see there.
+    Maps with ``map_names`` are given ones: of each pair the best trusted one carries points, see there. ``jobs`` are
+    threads.
     """
     rng = np.random.default_rng(rng)
     estimate, signs, problem = network.robust_maps(len(shapes), edges, matches, n_basis, rng)

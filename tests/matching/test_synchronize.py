@@ -170,7 +170,7 @@ def test_confidence_of_certain_draws_is_a_point(synced):
     assert (known.entropy >= 0).all()
     again = synced.confidence(0, 1, 0.9, synced.point_map(0, 1))
     assert all(np.array_equal(value, getattr(again, name)) for name, value in vars(known).items())
-    with pytest.raises(ValueError, match="samples of"):
+    with pytest.raises(ValueError, match="point_map: 2 vertices; cat0 has 1000"):
         synced.confidence(0, 1, 0.9, synced.point_map(0, 1)[:2])
     wider = synced.confidence(0, 1, 0.99)
     assert (wider.radius >= known.radius).all()
