@@ -158,9 +158,8 @@ def solved(p: fmsync.SyncProblem, seed: int) -> float:
 def sampled(p: fmsync.SyncProblem, seed: int) -> float:
     """The mean energy of one of many chains."""
     with fmsync.diagnostics.short_run():
-        return float(
-            fmsync.sample(p, "heat-bath", kappa=8.1, n_chains=1, n_draws=2000, warmup=100, rng=seed).energy.mean()
-        )
+        post = fmsync.sample(p, "heat-bath", kappa=8.1, n_chains=1, n_draws=2000, warmup=100, rng=seed)
+    return float(post.energy.mean())
 
 
 def workers(tasks: int) -> dict[str, dict[str, dict[str, float]]]:

@@ -209,8 +209,7 @@ def synchronize_shapes(
       that connect all shapes.
     * ``landmarks``: for each shape the same L <= ``n_samples`` vertices in the same order.
     * ``jobs``, ``checkpoint``: processes of bases and pairs, through joblib and its active backend, and threads of the
-      last stage; folder of pairs
-      that are finished. ``progress`` shows a bar for each long stage.
+      last stage; folder of pairs that are finished. ``progress`` shows a bar for each long stage.
     * ``drop_outliers``: leave out shapes that do not belong: by their spectra or, for ``n_refined`` >= 50, by how their
       maps distort. ``fast``: larger steps in the last stage.
 
