@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from data_gen.body import Body, Bone, Cone, Pose, cone_distance
 from data_gen.mesher import self_intersections
-from fmsync.shape import triangle_areas, vertex_areas
+from fmsync.shape import triangle_areas, vertex_areas, vertex_normals
 
 _SMOOTHING = 0.022  # length over which skinning weights blend at a joint
 _ARAP_STEPS = 12
@@ -159,14 +159,6 @@ class Rig:
 def _factorised(matrix):
     """Sparse factors of a symmetric positive definite matrix: without pivoting they fill in far less."""
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3), means of those of the faces weighted by area."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    normals = np.stack([np.bincount(faces.ravel(), of_face[:, k]) for k in range(3)], axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)  # 0 amid faces without area
 
 
 def _cotangents(vertices, faces):

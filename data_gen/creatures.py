@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from data_gen import mesher
 from data_gen.body import Bone, Cone
 from data_gen.cache import cached, recipe
-from data_gen.cat_pose import Rig, vertex_normals
+from data_gen.cat_pose import Rig
 from data_gen.cats import SOURCES, grow_right_half
 from data_gen.creature_body import draw_body
 from data_gen.mesher import half_skin, is_sphere, self_intersections
 from fmsync import checks
-from fmsync.shape import Shape, edges_of_faces, vertex_areas
+from fmsync.shape import Shape, edges_of_faces, vertex_areas, vertex_normals
 
 _STEP = 0.014  # of the grid on which a body is contoured
 _CLEARANCE = 0.012  # thickening by which no limbs grow together

@@ -218,6 +218,16 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)  # (F,)
 
 
+@checks.checked(vertices="V 3", faces="F 3 < V")
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3), means of those of the faces weighted by area; 0 at a vertex whose faces have none."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = [np.bincount(faces.ravel(), of_face[:, k], minlength=len(vertices)) for k in range(3)]
+    normals = np.stack(sums, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
 @checks.checked(vertices="V 3")
 def colours_from_coordinates(vertices: ArrayLike) -> np.ndarray:
     """Red-green-blue in [0, 1] by position, (V, 3): colours to carry from one shape to another along a point map."""

@@ -21,15 +21,14 @@ from bench.own_shapes.stages import Evaluation, Pyfm, both_ways, some_pairs
 from bench.problems import geodesics_from
 from bench.studies import cpu_seconds, kept_results
 from data_gen import Creature, load_collection
-from data_gen.cat_pose import vertex_normals
 from data_gen.report import edge_distortion
 from fmsync.matching.conformal import default_calibration
-from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.latent import upsample
 from fmsync.matching.network import inlier_weights
 from fmsync.matching.pairwise import FINE, match
 from fmsync.matching.report import quality_flags
 from fmsync.matching.synchronize import synchronize_matches
-from fmsync.shape import edges_of_faces, triangle_areas
+from fmsync.shape import edges_of_faces, triangle_areas, vertex_normals
 from fmsync.threads import single_threaded_blas
 
 TEST = range(8)
@@ -141,7 +140,7 @@ def stage_errors(seen: Observed, shapes: list[Creature]) -> tuple[dict[str, floa
     maps = {"pairwise": own, "bound": bound, "pyFM fit": fits, "pyFM ZoomOut": zoomed}
     maps |= {"pyFM Consistent ZoomOut": together, "pyFM Consistent ZoomOut of our pairs": ours}
     start = np.array([bound[i, j][:FINE, :FINE] for i, j in edges.tolist()])  # as good as fifty functions can be
-    latent = upsample(synced.shapes, edges, start, sizes(FINE, m))
+    latent = upsample(synced.shapes, edges, start, m)
     maps["ours from the true first 50"] = {(i, j): latent[i].T @ latent[j] for i, j in pairs}
     errors = {name: evaluation.mean(pairs, lambda i, j, found=found: found[i, j]) for name, found in maps.items()}
     return {"ours": float(np.mean(seen.errors))} | errors, seconds

@@ -12,7 +12,7 @@ from fmsync.adapters import from_pyvista, to_pyfm, to_pyvista
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
-from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.latent import upsample
 from fmsync.matching.pairwise import FINE, match, zoomout
 from fmsync.matching.samples import SampledShape, descriptors
 from fmsync.shape import Shape
@@ -122,7 +122,7 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     maps = np.array([x.c_ij[:n, :n] for x in proposed])
     for size in sorted({min(size, m) for size in (FINE, 80, m)}):
         with cpu_seconds(seconds, f"upsampled together to {size}"):
-            latent = upsample(shapes, edges, maps, sizes(n, size))
+            latent = upsample(shapes, edges, maps, size)
         missed = [evaluation.errors(i, j, latent[i], latent[j]) for i, j in pairs]
         errors[f"pipeline (upsampled together to {size})"] = float(np.mean(missed))
     if peers:

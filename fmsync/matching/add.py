@@ -9,7 +9,7 @@ import numpy as np
 from fmsync import checks, so
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
-from fmsync.matching.latent import map_from_values
+from fmsync.matching.latent import ROUNDS, map_from_values, rigid_bodies, rigid_map
 from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
 from fmsync.matching.outliers import belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
@@ -126,14 +126,27 @@ def _with_draws(posterior: Posterior, edges: np.ndarray, maps: np.ndarray, rng: 
 
 def _refined(synced: stages.SyncedShapes, new: SampledShape, others: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """(M, m) map of the new shape to the functions that the others share, from maps (K, n, n) to it."""
-    m = synced.refined.shape[-1]
+    known, old = synced.refined[others], [synced.shapes[k] for k in others]
+    m, bodies = known.shape[-1], rigid_bodies([*old, new])
+
+    def placed(grown: Sequence[np.ndarray]) -> np.ndarray:
+        u, _, vt = np.linalg.svd(sum(y @ c for y, c in zip(known, grown)), full_matrices=False)
+        return u @ vt
+
     with single_threaded_blas():
-        at = [synced.shapes[k].sampled()[:, :m] for k in others]
-        back, values = [np.linalg.pinv(phi) for phi in at], [phi @ synced.refined[k].T for phi, k in zip(at, others)]
-        own, own_back = new.sampled()[:, :m], np.linalg.pinv(new.sampled()[:, :m])
-        grown = [zoomout(synced.shapes[k], new, c[None], m, _STEP)[0][0] for k, c in zip(others, maps)]
-        for _ in range(_SETTLE):
-            u, _, vt = np.linalg.svd(sum(synced.refined[k] @ c for k, c in zip(others, grown)), full_matrices=False)
-            mine = own @ (u @ vt).T
-            grown = [map_from_values((a, own), (b, own_back), (v, mine)) for a, b, v in zip(at, back, values)]
-    return u @ vt
+        *at, own = [s.sampled()[:, :m] for s in (*old, new)]
+        *back, own_back = [np.linalg.pinv(phi) for phi in (*at, own)]
+        values = [phi @ y.T for phi, y in zip(at, known)]
+        latent = placed([zoomout(s, new, c[None], m, _STEP)[0][0] for s, c in zip(old, maps)])
+        for step in range(ROUNDS if bodies else _SETTLE):
+            mine = own @ latent.T
+            if not bodies:
+                pairs = zip(at, back, values)
+                grown = [map_from_values((a, own), (b, own_back), (v, mine)) for a, b, v in pairs]
+            elif step % 2:
+                own_body, others_of = bodies[-1], zip(bodies, old, values)
+                grown = [rigid_map((own_body, body), own_back, s, (mine, v)).T for body, s, v in others_of]
+            else:
+                grown = [rigid_map((body, bodies[-1]), b, new, (v, mine)) for body, b, v in zip(bodies, back, values)]
+            latent = placed(grown)
+    return latent

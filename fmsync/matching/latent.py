@@ -7,16 +7,18 @@ Points are compared by the values of these functions (Consistent ZoomOut, Huang 
 """
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
+from tqdm import tqdm
 
 from fmsync import checks
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
+from fmsync.matching.rigid import RigidSamples, rigid_images, rigid_samples
 from fmsync.matching.samples import SampledShape
 from fmsync.so import transpose
 from fmsync.threads import single_threaded_blas
@@ -24,6 +26,7 @@ from fmsync.threads import single_threaded_blas
 _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
+ROUNDS = 4  # of rigid bodies
 
 
 @checks.checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
@@ -71,30 +74,66 @@ def latent_maps(n_shapes: int, edges: np.ndarray, maps: np.ndarray) -> np.ndarra
 
 
 def upsample(
-    shapes: Sequence[SampledShape], edges: np.ndarray, maps: np.ndarray, sizes: Iterable[int], jobs: int = 1
+    shapes: Sequence[SampledShape],
+    edges: np.ndarray,
+    maps: np.ndarray,
+    size: int,
+    *,
+    fast: bool = False,
+    jobs: int = 1,
+    progress: bool = False,
 ) -> np.ndarray:
-    """Latent maps (N, M, m) with orthonormal rows, m the last of ``sizes``, from maps (E, k, k) of the pairs.
+    """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k) of the pairs (E, 2).
 
-    At every size points are matched by latent functions, in both directions, and the direction whose least-squares map
-    is nearer to orthogonal stands for the pair (Huang et al. 2020). A pair's error does not grow: the next latent
-    functions are again those on which all agree. With orthonormal rows relative maps are exactly consistent. Pairs are
+    Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
+    those on which all agree: a pair's error does not grow. Samples of meshes are matched four times, at the full size,
+    as small rigid bodies (:mod:`fmsync.matching.rigid`), in one direction and the other by turns. Where a shape has no
+    faces, and with ``fast``, maps grow step by step, and of both directions the one whose map is nearer to orthogonal
+    stands for the pair (Huang et al. 2020). With orthonormal rows relative maps are exactly consistent. Pairs are
     matched in ``jobs`` threads, at most one a core.
     """
+    bodies = [] if fast else rigid_bodies(shapes)
+    steps = [size] * ROUNDS if bodies else sizes(maps.shape[-1], size, fast)
 
-    def matched(at: list[np.ndarray], back: list[np.ndarray], values: list[np.ndarray]) -> np.ndarray:
-        found = pool.map(lambda pair: map_from_values(*([x[k] for k in pair] for x in (at, back, values))), edges)
-        return np.array(list(found))
+    def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
+        at = [s.sampled()[:, :m] for s in shapes]
+        back = [np.linalg.pinv(phi) for phi in at]
+        values = [phi[:, : y.shape[1]] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
+
+        def rigid(i: int, j: int) -> np.ndarray:
+            return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]))
+
+        def pair_map(e: int) -> np.ndarray:
+            i, j = edges[e]
+            if not bodies:
+                return map_from_values(*([x[k] for k in (i, j)] for x in (at, back, values)))
+            return rigid(j, i).T if (e + step) % 2 else rigid(i, j)
+
+        return np.array(list(pool.map(pair_map, range(len(edges)))))
 
     with single_threaded_blas(), ThreadPoolExecutor(min(jobs, os.cpu_count() or 1)) as pool:
         latent = latent_maps(len(shapes), edges, maps)
-        for size in sizes:
-            k = latent.shape[-1]
-            at = [s.sampled()[:, :size] for s in shapes]
-            back = [np.linalg.pinv(phi) for phi in at]
-            values = [phi[:, :k] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
-            latent = latent_maps(len(shapes), edges, matched(at, back, values))
+        for step, m in enumerate(tqdm(steps, "refinement", disable=not progress)):
+            latent = latent_maps(len(shapes), edges, matched(latent, m, step))
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
+
+
+def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:
+    """The samples of every shape, or an empty list if one of the shapes has no faces."""
+    return [rigid_samples(s) for s in shapes] if all(s.shape.faces is not None for s in shapes) else []
+
+
+def rigid_map(
+    bodies: tuple[RigidSamples, RigidSamples], back: np.ndarray, second: SampledShape, values: Sequence[np.ndarray]
+) -> np.ndarray:
+    """C_ij (m, m) of the samples of i matched by values of shared functions, then as small rigid bodies.
+
+    ``back`` (m, S) is the pseudo-inverse of the basis at the samples of i, ``second`` is shape j, and ``values`` are
+    those at the samples of i (S, M) and of j.
+    """
+    near = bodies[1].samples[nearest_rows(*(x.astype(np.float32) for x in values))]
+    return back @ second.basis.eigenfunctions[rigid_images(*bodies, near), : len(back)]
 
 
 def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> np.ndarray:

@@ -23,7 +23,7 @@ from fmsync.functional_maps import vertex_images
 from fmsync.matching import network
 from fmsync.matching.confidence import Confidence, confidence, draw_images
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
-from fmsync.matching.latent import sizes, upsample
+from fmsync.matching.latent import upsample
 from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
@@ -292,8 +292,7 @@ def synchronize_matches(
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
-    steps = tqdm(sizes(n_basis, n_refined, fast), "refinement", disable=not progress)
-    refined = upsample(shapes, edges[used], start, steps, jobs)
+    refined = upsample(shapes, edges[used], start, n_refined, fast=fast, jobs=jobs, progress=progress)
     give_back()
     return SyncedShapes(
         tuple(shapes), edges, tuple(matches), signs, problem, estimate, posterior, refined, map_names, used

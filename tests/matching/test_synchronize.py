@@ -64,7 +64,7 @@ def test_small_holes_are_closed_before_spectra_are_compared(cats):
 
 def test_threads_change_no_refined_map(synced):
     start = np.array([m.c_ij[:10, :10] for m in synced.matches])
-    alone, together = (upsample(synced.shapes, synced.edges, start, [15, 20], jobs) for jobs in (1, 2))
+    alone, together = (upsample(synced.shapes, synced.edges, start, 20, jobs=jobs) for jobs in (1, 2))
     np.testing.assert_array_equal(alone, together)
 
 
