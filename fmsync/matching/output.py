@@ -75,7 +75,8 @@ def write_all(
     told = {"reference": names[reference], "level": level, "fitted_on": calibration.fitted_on, "flags": flags}
     text = _README.read_text(encoding="utf-8").format(**told)
     (folder / "README.txt").write_text(text, encoding="utf-8")
-    (folder / "report.html").write_text(report(synced, known, edges, calibration, level), encoding="utf-8")
+    page = report(synced, known, edges, calibration, level, jobs)
+    (folder / "report.html").write_text(page, encoding="utf-8")
 
 
 def _packed(synced: SyncedShapes) -> Iterator[tuple[str, Any]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from scipy.spatial import cKDTree
 
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
@@ -61,9 +62,14 @@ def quality_flags(synced: SyncedShapes) -> list[str]:
 
 
 def report(
-    synced: SyncedShapes, known: Pairs, edges: pd.DataFrame, calibration: ConformalCalibration, level: float
+    synced: SyncedShapes,
+    known: Pairs,
+    edges: pd.DataFrame,
+    calibration: ConformalCalibration,
+    level: float,
+    jobs: int = 1,
 ) -> str:
-    """HTML of the report; ``known`` holds the confidence of every ordered pair."""
+    """HTML of the report; ``known`` holds the confidence of every ordered pair, ``jobs`` threads share the work."""
     radii = {pair: calibration.radius(k, level) for pair, k in known.items()}
     top = float(np.quantile(np.concatenate(list(radii.values())), 0.98))
     ramp = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*(255 * colour)) for colour in _RAMP)
@@ -77,18 +83,19 @@ def report(
         edges=edges.rename(columns=lambda name: name.replace("_", " ")).to_html(
             index=False, float_format="%.3f", border=0
         ),
-        data=json.dumps(_data(synced, known, radii, edges, top, level)).replace("<", "\\u003c"),
+        data=json.dumps(_data(synced, known, radii, edges, top, level, jobs)).replace("<", "\\u003c"),
         explorer=_EXPLORER.read_text(encoding="utf-8"),
         viewer=_VIEWER.read_text(encoding="utf-8"),
     )
 
 
 def _data(
-    synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float, level: float
+    synced: SyncedShapes, known: Pairs, radii: Radii, edges: pd.DataFrame, top: float, level: float, jobs: int
 ) -> dict[str, object]:
     """Everything the viewer draws: arrays of small integers in base64."""
-    drawn = [_drawn(s.shape) for s in synced.shapes]
-    shapes, nearest, pairs = [], [], {}
+    each = Parallel(jobs, "threading")
+    drawn = each(delayed(_drawn)(s.shape) for s in synced.shapes)
+    shapes, nearest = [], []
     n_draws = max(10, min(_MOST_DRAWS, _ALL_DRAWS // len(known)))
     for s, (vertices, faces) in zip(synced.shapes, drawn):
         at = s.shape.vertices[vertices]
@@ -101,18 +108,22 @@ def _data(
         drawing = {"points": _packed(points, "<i2"), "faces": _packed(faces, "<u2"), "colours": _packed(colours, "u1")}
         shapes.append(named | {"size": size} | drawing)
     costs = {frozenset(e): d for e, d in zip(synced.edges.tolist(), edges["distortion"])}
-    for (i, j), k in known.items():
+
+    def pair_data(i: int, j: int, k: Confidence) -> dict[str, object]:
         first, (own, _), (there, _) = synced.shapes[i], drawn[i], drawn[j]
-        with single_threaded_blas():
-            image = nearest_rows(synced.shared_functions(i, own), synced.shared_functions(j, there))
+        image = nearest_rows(synced.shared_functions(i, own), synced.shared_functions(j, there))
         at = cKDTree(first.shape.vertices[first.samples]).query(first.shape.vertices[own])[1]
-        pairs[f"{i},{j}"] = {
+        return {
             "image": _packed(image, "<u2"),
             "unsure": _packed(254 * np.clip(radii[i, j] / max(top, 1e-9), 0, 1)[at], "u1"),
             "double": _packed(k.two_modes[at], "u1"),
             "median": float(np.median(radii[i, j])),
             "distortion": costs.get(frozenset((i, j))),
         } | _explored(synced, i, j, k, radii[i, j], nearest[j], n_draws)
+
+    with single_threaded_blas():
+        found = each(delayed(pair_data)(i, j, k) for (i, j), k in known.items())
+    pairs = {f"{i},{j}": data for (i, j), data in zip(known, found)}
     return {"shapes": shapes, "pairs": pairs, "ramp": _RAMP.tolist(), "step": _STEP, "level": level}
 
 

@@ -97,7 +97,8 @@ def test_regions_hold_more_where_they_promise_more(observed):
     ):
         covered = list(observed.covered(calibration).values())
         assert covered == sorted(covered)
-    assert np.abs(np.array(covered) - confidence.LEVELS).max() < 0.02  # on what it was fitted on
+    exact = (np.concatenate(observed.errors) < 1e-9).mean()  # images that every region holds
+    assert np.abs(np.array(covered) - np.maximum(confidence.LEVELS, exact)).max() < 0.02  # on what it was fitted on
 
 
 def test_risk_falls_the_most_for_who_knows_the_errors(observed):

@@ -42,6 +42,12 @@ def test_meshes_are_read_back(synced, folder):
     np.testing.assert_array_equal(found.faces, shape.faces)
 
 
+def test_threads_change_no_file_but_the_order_in_which_it_is_written(synced, folder, tmp_path):
+    output.write_all(synced, tmp_path, 0.9, default_calibration(), jobs=2, progress=False)
+    for name in ("report.html", "edges.csv", "point_maps/cat0_to_cat2.csv"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
 def test_the_collection_comes_back(synced, folder):
     again = output.load_synced(folder)
     assert again.names == synced.names
