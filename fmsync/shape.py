@@ -220,7 +220,7 @@ def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 @checks.checked(vertices="V 3", faces="F 3 < V")
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3), means of those of the faces weighted by area; 0 at a vertex whose faces have none."""
+    """Unit normals (V, 3), means of those of the faces weighted by area; 0 where these have none, or in no face."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     of_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     sums = [np.bincount(faces.ravel(), of_face[:, k], minlength=len(vertices)) for k in range(3)]

@@ -3,7 +3,7 @@ import pytest
 import robust_laplacian
 from scipy.linalg import eigh
 
-from fmsync.shape import Basis, Shape, _cotangent_laplacian, laplace_beltrami
+from fmsync.shape import Basis, Shape, _cotangent_laplacian, laplace_beltrami, vertex_normals
 from tests.surfaces import icosphere, potato, relabelled
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0.0]])
@@ -79,6 +79,14 @@ def test_cotangents_equal_the_loop():
     slow_stiffness, slow_mass = slow_cotangent_laplacian(vertices, faces)
     np.testing.assert_allclose(stiffness.toarray(), slow_stiffness, atol=1e-12)
     np.testing.assert_allclose(mass, slow_mass, rtol=1e-12)
+
+
+def test_normals_of_a_sphere_point_outwards():
+    vertices, faces = icosphere(3)
+    normals = vertex_normals(np.vstack([vertices, [[9.0, 9, 9]]]), faces)  # and a vertex that no face has
+    assert (np.einsum("vx,vx->v", normals[:-1], vertices) > 0.999).all()
+    np.testing.assert_allclose(np.linalg.norm(normals[:-1], axis=1), 1)
+    np.testing.assert_array_equal(normals[-1], 0)
 
 
 def test_basis_equals_the_dense_eigenproblem():

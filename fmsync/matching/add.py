@@ -40,6 +40,7 @@ def add_shape(
     The shape is matched to all others, or to so many ``neighbours`` by spectrum, as :func:`fmsync.synchronize_shapes`
     does (``landmarks``, ``jobs`` and ``rng`` are as there), and its map solved for robustly given theirs. Each of their
     draws gets one of its map from the exact conditional density; what the new maps say about the others is not used.
+    Among meshes its samples move as rigidly as possible, also where the others were synchronised ``fast``.
 
     >>> import data_gen, fmsync
     >>> *cats, last = data_gen.load_collection("cats", count=3, n_vertices=1000)

@@ -26,7 +26,7 @@ from fmsync.threads import single_threaded_blas
 _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
-ROUNDS = 4  # of rigid bodies
+ROUNDS = 4  # of samples that move rigidly
 
 
 @checks.checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
@@ -80,17 +80,18 @@ def upsample(
     size: int,
     *,
     fast: bool = False,
+    mirrored: bool = False,
     jobs: int = 1,
     progress: bool = False,
 ) -> np.ndarray:
     """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k) of the pairs (E, 2).
 
     Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
-    those on which all agree: a pair's error does not grow. Samples of meshes are matched four times, at the full size,
-    as small rigid bodies (:mod:`fmsync.matching.rigid`), in one direction and the other by turns. Where a shape has no
-    faces, and with ``fast``, maps grow step by step, and of both directions the one whose map is nearer to orthogonal
-    stands for the pair (Huang et al. 2020). With orthonormal rows relative maps are exactly consistent. Pairs are
-    matched in ``jobs`` threads, at most one a core.
+    those on which all agree: a pair's error does not grow. If all shapes are meshes this is done four times at the full
+    size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
+    j to i; with ``mirrored`` they may be reflected. If one is a point cloud, or ``fast``, maps grow step by step, and
+    of both directions the one whose map is nearer to orthogonal stands for the pair (Huang et al. 2020). With
+    orthonormal rows relative maps are exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
     steps = [size] * ROUNDS if bodies else sizes(maps.shape[-1], size, fast)
@@ -101,19 +102,27 @@ def upsample(
         values = [phi[:, : y.shape[1]] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
 
         def rigid(i: int, j: int) -> np.ndarray:
-            return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]))
+            return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]), mirrored)
 
         def pair_map(e: int) -> np.ndarray:
             i, j = edges[e]
             if not bodies:
-                return map_from_values(*([x[k] for k in (i, j)] for x in (at, back, values)))
-            return rigid(j, i).T if (e + step) % 2 else rigid(i, j)
+                found = map_from_values(*([x[k] for k in (i, j)] for x in (at, back, values)))
+            else:
+                found = rigid(j, i).T if (e + step) % 2 else rigid(i, j)
+            bar.update()
+            return found
 
         return np.array(list(pool.map(pair_map, range(len(edges)))))
 
-    with single_threaded_blas(), ThreadPoolExecutor(min(jobs, os.cpu_count() or 1)) as pool:
+    threads, total = min(jobs, os.cpu_count() or 1), len(steps) * len(edges)
+    with (
+        single_threaded_blas(),
+        ThreadPoolExecutor(threads) as pool,
+        tqdm(total=total, desc="refinement", disable=not progress) as bar,
+    ):
         latent = latent_maps(len(shapes), edges, maps)
-        for step, m in enumerate(tqdm(steps, "refinement", disable=not progress)):
+        for step, m in enumerate(steps):
             latent = latent_maps(len(shapes), edges, matched(latent, m, step))
         u, _, vt = np.linalg.svd(latent, full_matrices=False)
     return u @ vt
@@ -125,15 +134,19 @@ def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:
 
 
 def rigid_map(
-    bodies: tuple[RigidSamples, RigidSamples], back: np.ndarray, second: SampledShape, values: Sequence[np.ndarray]
+    bodies: tuple[RigidSamples, RigidSamples],
+    back: np.ndarray,
+    second: SampledShape,
+    values: Sequence[np.ndarray],
+    mirrored: bool = False,
 ) -> np.ndarray:
-    """C_ij (m, m) of the samples of i matched by values of shared functions, then as small rigid bodies.
+    """C_ij (m, m) of the samples of i, matched by values of shared functions and moved as rigidly as possible.
 
     ``back`` (m, S) is the pseudo-inverse of the basis at the samples of i, ``second`` is shape j, and ``values`` are
     those at the samples of i (S, M) and of j.
     """
     near = bodies[1].samples[nearest_rows(*(x.astype(np.float32) for x in values))]
-    return back @ second.basis.eigenfunctions[rigid_images(*bodies, near), : len(back)]
+    return back @ second.basis.eigenfunctions[rigid_images(*bodies, near, mirrored), : len(back)]
 
 
 def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> np.ndarray:

@@ -185,9 +185,10 @@ def synchronize_shapes(
 
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps and two-hop compositions proposed to every pair, taken where they keep
-    distances better; posterior with inferred concentration; larger maps through functions that all shapes share. A
-    shape in several pieces, inside out or mirrored is a ValueError that names it; shapes of equal names become ``name
-    (shape k)``. Shapes that are unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
+    distances better; posterior with inferred concentration; larger maps through functions that all shapes share, of
+    meshes by moving samples as rigidly as possible (:mod:`fmsync.matching.rigid`). A shape in several pieces, inside
+    out or mirrored is a ValueError that names it; shapes of equal names become ``name (shape k)``. Shapes that are
+    unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
     Unless maps are given, small holes are closed for bases and distances, not in ``shapes``.
 
     Given maps are data and none is replaced by a proposal, which would hide the wrong ones. Those that the others
@@ -211,7 +212,7 @@ def synchronize_shapes(
     * ``jobs``, ``checkpoint``: processes of bases and pairs, through joblib and its active backend, and threads of the
       last stage; folder of pairs that are finished. ``progress`` shows a bar for each long stage.
     * ``drop_outliers``: leave out shapes that do not belong: by their spectra or, for ``n_refined`` >= 50, by how their
-      maps distort. ``fast``: larger steps in the last stage.
+      maps distort. ``fast``: the last stage by functions alone, in larger steps, as if the shapes were point clouds.
 
     >>> import data_gen, fmsync
     >>> cats = data_gen.load_collection("cats", count=3, n_vertices=1000)
@@ -292,7 +293,9 @@ def synchronize_matches(
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
-    refined = upsample(shapes, edges[used], start, n_refined, fast=fast, jobs=jobs, progress=progress)
+    refined = upsample(
+        shapes, edges[used], start, n_refined, fast=fast, mirrored=are_given, jobs=jobs, progress=progress
+    )
     give_back()
     return SyncedShapes(
         tuple(shapes), edges, tuple(matches), signs, problem, estimate, posterior, refined, map_names, used

@@ -109,6 +109,17 @@ def test_maps_that_turn_left_into_right_are_said(synced):
     assert "maps[0, 2] (cat0 to cat2)" in said
 
 
+def test_a_mirrored_mesh_among_given_maps_is_no_worse(shapes, truth):
+    points = shapes[1].vertices * [-1.0, 1, 1]
+    mirrored = [shapes[0], fmsync.Shape(points, shapes[1].faces[:, ::-1], "mirrored"), shapes[2]]
+    maps = {pair: truth[pair] for pair in ((0, 1), (0, 2), (1, 2))}
+    before, after = (
+        np.mean([error(those, i, j, synced_from(those, maps).point_map(i, j), truth) for i, j in maps])
+        for those in (shapes[:3], mirrored)
+    )
+    assert after < 1.2 * before + 0.002
+
+
 def test_given_maps_are_data_that_stay_what_they_are(synced, shapes, spoilt, bases):
     for e, (i, j) in enumerate(PAIRS):
         expected = fmsync.functional_map(bases[i], bases[j], spoilt[i, j])
