@@ -16,7 +16,7 @@ from fmsync.shape import Shape
 _TO_THE_READER = np.array([0.74, -0.61, 0.28])  # the direction from which the pictures of the book look at shapes
 
 
-@checks.checked(seed=">= 0", species=">= 0", bend=checks.not_negative)
+@checks.checked(seed=">= 0", species=">= 0")
 def load_collection(
     source: str | Path | Sequence[str | Path] | None = None,
     *,
@@ -26,7 +26,6 @@ def load_collection(
     symmetric: bool = False,
     species: int = 0,
     remeshed: bool = False,
-    bend: float = 1.0,
 ) -> list[Shape]:
     """Shapes of a collection, in natural order of their names (``cat2`` before ``cat10``).
 
@@ -37,7 +36,7 @@ def load_collection(
     of its files cannot be read.
 
     ``count``, ``n_vertices``, ``seed`` and ``symmetric`` are of the synthetic cats and creatures, see
-    ``data_gen.cats.cats``; ``species``, ``remeshed`` and ``bend`` of the creatures alone, see
+    ``data_gen.cats.cats``; ``species`` and ``remeshed`` of the creatures alone, see
     ``data_gen.creatures.creatures``.
 
     >>> [shape.name for shape in load_collection("cats", count=3, n_vertices=1000)]
@@ -45,11 +44,11 @@ def load_collection(
     """
     if source is None:
         source = "tosca_cat" if _data_folder("tosca_cat") else "cats"
-    of_creatures = {"species": (species, 0), "remeshed": (remeshed, False), "bend": (bend, 1.0)}
+    of_creatures = {"species": (species, 0), "remeshed": (remeshed, False)}
     sizes = {"count": (count, 11), "n_vertices": (n_vertices, 5000), "seed": (seed, 0), "symmetric": (symmetric, False)}
     chosen = {name: value for name, (value, _) in sizes.items()}
     if source == "creatures":
-        return [*creatures(species, remeshed=remeshed, bend=bend, **chosen)]
+        return [*creatures(species, remeshed=remeshed, **chosen)]
     if source == "cats":
         checks.unused("for cats", **of_creatures)
         return cats(**chosen)

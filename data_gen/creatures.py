@@ -43,7 +43,7 @@ class Creature(Shape):
     part: np.ndarray = None
 
 
-@checks.checked(species=">= 0", seed=">= 0", bend=checks.not_negative)
+@checks.checked(species=">= 0", seed=">= 0")
 def creatures(
     species: int,
     count: int = 11,
@@ -51,7 +51,6 @@ def creatures(
     seed: int = 0,
     symmetric: bool = False,
     remeshed: bool = False,
-    bend: float = 1.0,
 ) -> list[Creature]:
     """Poses of a random species, the same for the same arguments, bit by bit.
 
@@ -60,8 +59,7 @@ def creatures(
     poses, of which number k depends neither on ``count`` nor on ``remeshed``. Each has ``n_vertices``, 1000 to 30000,
     and vertex v of one corresponds to vertex v of another, unless they are ``remeshed``: then each has a triangulation
     of its own with 0.8 to 1.2 times as many vertices in random order. The right half is larger by 2 to 6 %, and in
-    every third species one limb of it by 15 to 35 %, unless ``symmetric``. ``bend`` scales joint angles and the tone of
-    the flesh: the less, the nearer to isometric, and for 0 all poses are the same.
+    every third species one limb of it by 15 to 35 %, unless ``symmetric``.
 
     >>> first, second = creatures(species=3, count=2, n_vertices=1000)
     >>> first.name, first.vertices.shape, (first.faces == second.faces).all()
@@ -70,12 +68,12 @@ def creatures(
     mesher.check_resolution(n_vertices)
     kind = f"{'symmetric' if symmetric else 'asymmetric'}{'-remeshed' * remeshed}"
     made_by = recipe(*SOURCES, "creature_body.py", "creatures.py")
-    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{float(bend)!r}-{made_by}"
-    made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed, bend))
+    key = f"creatures-{species}-{count}-{n_vertices}-{seed}-{kind}-{made_by}"
+    made = cached(key, lambda: _build(species, count, n_vertices, seed, symmetric, remeshed))
     return [Creature(name=f"creature{k}", **{field: made[f"{field}{k}"] for field in _ARRAYS}) for k in range(count)]
 
 
-def _build(species, count, n_vertices, seed, symmetric, remeshed, bend):
+def _build(species, count, n_vertices, seed, symmetric, remeshed):
     body, vertices, faces, mirror = _at_rest(species, n_vertices)
     resting = vertices, body.bones, body.cones()
     if not symmetric:
@@ -94,7 +92,7 @@ def _build(species, count, n_vertices, seed, symmetric, remeshed, bend):
         rng = np.random.default_rng([seed, species, k])
         signs = {stem: rng.choice([-1.0, 1.0]) for stem in sorted(set(stems))}
         tone = _TONE * np.array([0.0 if "head" in stem else signs[stem] for stem in stems])  # ears would fold
-        eases = (bend * _EASE**attempt for attempt in range(_DRAWS))  # each draw a little less than the one before
+        eases = (_EASE**attempt for attempt in range(_DRAWS))  # each draw a little less than the one before
         draws = ((body.pose(rng, ease), ease * tone) for ease in eases)
         fields = rig.first_free(draws, f"species {species}, creature{k}"), faces, own, mirror, located, part
         if remeshed:

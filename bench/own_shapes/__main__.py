@@ -11,8 +11,7 @@ The order serves for evaluation, never for maps. Each part is a command, and add
 * ``python -m bench.own_shapes species``: coverage over random species, of which nothing else is read; ``... refit --out
   fmsync/matching/conformal.json``: the calibration that the package ships, fitted on these species; ``... outliers``:
   how many shapes that do not belong to a folder are found, and how many others are named; ``... matching``: errors
-  beside pyFM and the bound, regions by part of the body and rates of warnings, on species in four variants;
-  ``... isometry``: errors and the bound on poses whose joints are bent less.
+  beside pyFM and the bound, regions by part of the body and rates of warnings, on species in four variants.
 
 A collection is a folder, the name of one in FMSYNC_DATA, or ``cats``. Lengths are in square roots of the area.
 """
@@ -35,7 +34,6 @@ _MAKES = {
     "species": lambda: species.table(_KEPT),
     "outliers": lambda: outliers.table(_KEPT.with_name("outliers")),
     "matching": lambda: matching.table(_KEPT.with_name("matching")),
-    "isometry": lambda: matching.by_isometry(_KEPT.with_name("isometry")),
 }
 
 

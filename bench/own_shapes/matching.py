@@ -15,13 +15,11 @@ import pandas as pd
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-import fmsync
 from bench.own_shapes.confidence import Observed, observe
 from bench.own_shapes.stages import Evaluation, Pyfm, both_ways, some_pairs
 from bench.problems import geodesics_from
 from bench.studies import cpu_seconds, kept_results
 from data_gen import Creature, load_collection
-from data_gen.report import edge_distortion
 from fmsync.matching.conformal import default_calibration
 from fmsync.matching.latent import upsample
 from fmsync.matching.network import inlier_weights
@@ -32,7 +30,6 @@ from fmsync.shape import edges_of_faces, triangle_areas, vertex_normals
 from fmsync.threads import single_threaded_blas
 
 TEST = range(8)
-BENDS = (0.0, 0.25, 0.5, 1.0)  # shares of the joint angles
 VARIANTS = ("one triangulation", "triangulated anew", "noise", "holes")
 _NOISE = 0.2  # standard deviation, in mean edges
 _HOLES, _CUT = 3, 0.05  # discs of each shape, and their share of its area
@@ -144,31 +141,6 @@ def stage_errors(seen: Observed, shapes: list[Creature]) -> tuple[dict[str, floa
     maps["ours from the true first 50"] = {(i, j): latent[i].T @ latent[j] for i, j in pairs}
     errors = {name: evaluation.mean(pairs, lambda i, j, found=found: found[i, j]) for name, found in maps.items()}
     return {"ours": float(np.mean(seen.errors))} | errors, seconds
-
-
-def bent(task: tuple[int, float]) -> dict[str, float]:
-    """Mean errors of the pipeline and of the true maps on poses bent less, and how far from isometric these are."""
-    number, bend = task
-    options = {"species": number, "count": 4, "n_vertices": 2000, "bend": bend}
-    shapes = load_collection("creatures", **options, remeshed=True)
-    vertices, _ = evaluated(shapes)
-    synced = fmsync.synchronize_shapes(shapes, n_draws=0)
-    evaluation, bases = Evaluation(synced.shapes, vertices), [s.basis.eigenfunctions for s in synced.shapes]
-    pairs = some_pairs(len(shapes))
-    return {
-        "edge distortion": float(edge_distortion(load_collection("creatures", **options)).mean()),
-        "ours": evaluation.mean(pairs, synced.functional_map),
-        "bound": evaluation.mean(pairs, lambda i, j: true_map(shapes[i], shapes[j], bases[i], bases[j])),
-    }
-
-
-def by_isometry(folder: Path, numbers: Iterable[int] = TEST) -> dict:
-    """Medians over species, by the share of the joint angles that their poses have."""
-    tasks = list(itertools.product(numbers, BENDS))
-    found = pd.DataFrame(kept_results(bent, tasks, folder))
-    found["ratio to the bound"] = found["ours"] / found["bound"]
-    by_bend = found.groupby([str(bend) for _, bend in tasks])
-    return {"species": len(tasks) // len(BENDS), "bend": by_bend.median().to_dict(orient="index")}
 
 
 def true_map(first: Creature, second: Creature, phi: np.ndarray, psi: np.ndarray) -> np.ndarray:
