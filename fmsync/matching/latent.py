@@ -80,7 +80,7 @@ def upsample(
     size: int,
     *,
     fast: bool = False,
-    mirrored: bool = False,
+    given: bool = False,
     jobs: int = 1,
     progress: bool = False,
 ) -> np.ndarray:
@@ -89,12 +89,14 @@ def upsample(
     Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
     those on which all agree: a pair's error does not grow. If all shapes are meshes this is done four times at the full
     size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
-    j to i; with ``mirrored`` they may be reflected. If one is a point cloud, or ``fast``, maps grow step by step, and
-    of both directions the one whose map is nearer to orthogonal stands for the pair (Huang et al. 2020). With
-    orthonormal rows relative maps are exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
+    j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
+    map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` do both: they may be
+    too poor for the one, and between mirrored meshes, which are reflected. With orthonormal rows relative maps are
+    exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
-    steps = [size] * ROUNDS if bodies else sizes(maps.shape[-1], size, fast)
+    growing = sizes(maps.shape[-1], size, fast) if given or not bodies else []
+    steps = growing + [size] * (ROUNDS if bodies else 0)
 
     def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
         at = [s.sampled()[:, :m] for s in shapes]
@@ -102,14 +104,14 @@ def upsample(
         values = [phi[:, : y.shape[1]] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
 
         def rigid(i: int, j: int) -> np.ndarray:
-            return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]), mirrored)
+            return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]), given)
 
         def pair_map(e: int) -> np.ndarray:
             i, j = edges[e]
-            if not bodies:
+            if step < len(growing):
                 found = map_from_values(*([x[k] for k in (i, j)] for x in (at, back, values)))
             else:
-                found = rigid(j, i).T if (e + step) % 2 else rigid(i, j)
+                found = rigid(j, i).T if (e + step + (i > j)) % 2 else rigid(i, j)
             bar.update()
             return found
 

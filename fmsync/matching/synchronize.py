@@ -293,9 +293,7 @@ def synchronize_matches(
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
     start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
-    refined = upsample(
-        shapes, edges[used], start, n_refined, fast=fast, mirrored=are_given, jobs=jobs, progress=progress
-    )
+    refined = upsample(shapes, edges[used], start, n_refined, fast=fast, given=are_given, jobs=jobs, progress=progress)
     give_back()
     return SyncedShapes(
         tuple(shapes), edges, tuple(matches), signs, problem, estimate, posterior, refined, map_names, used
