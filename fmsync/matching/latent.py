@@ -27,6 +27,7 @@ _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
 ROUNDS = 4  # of samples that move rigidly
+_JUDGES = 300  # samples whose distances tell which of two refinements is better
 
 
 @checks.checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
@@ -90,9 +91,10 @@ def upsample(
     those on which all agree: a pair's error does not grow. If all shapes are meshes this is done four times at the full
     size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
     j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
-    map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` do both: they may be
-    too poor for the one, and between mirrored meshes, which are reflected. With orthonormal rows relative maps are
-    exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
+    map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` may be poor, or
+    between mirrored meshes, which are reflected: they do first the one and then the other, and what keeps distances
+    better is returned. With orthonormal rows relative maps are exactly consistent. Pairs are matched in ``jobs``
+    threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
     growing = sizes(maps.shape[-1], size, fast) if given or not bodies else []
@@ -108,10 +110,10 @@ def upsample(
 
         def pair_map(e: int) -> np.ndarray:
             i, j = edges[e]
-            if step < len(growing):
+            if step <= len(growing):
                 found = map_from_values(*([x[k] for k in (i, j)] for x in (at, back, values)))
             else:
-                found = rigid(j, i).T if (e + step + (i > j)) % 2 else rigid(i, j)
+                found = rigid(j, i).T if (e + step + (i < j)) % 2 else rigid(i, j)
             bar.update()
             return found
 
@@ -123,11 +125,24 @@ def upsample(
         ThreadPoolExecutor(threads) as pool,
         tqdm(total=total, desc="refinement", disable=not progress) as bar,
     ):
-        latent = latent_maps(len(shapes), edges, maps)
-        for step, m in enumerate(steps):
+        latent, found = latent_maps(len(shapes), edges, maps), []
+        for step, m in enumerate(steps, start=1):
             latent = latent_maps(len(shapes), edges, matched(latent, m, step))
-        u, _, vt = np.linalg.svd(latent, full_matrices=False)
-    return u @ vt
+            if step in (len(growing), len(steps)):
+                u, _, vt = np.linalg.svd(latent, full_matrices=False)
+                found.append(u @ vt)
+        return found[0] if len(found) == 1 else min(found, key=lambda y: _distortion(shapes, edges, y))
+
+
+def _distortion(shapes: Sequence[SampledShape], edges: np.ndarray, latent: np.ndarray) -> float:
+    """Mean absolute change of the distances between some samples, over the pairs."""
+    values = [s.sampled(_JUDGES)[:, : y.shape[1]] @ y.T for s, y in zip(shapes, latent)]
+    changes = []
+    for i, j in edges:
+        images = nearest_rows(values[i], values[j])
+        there = shapes[j].geodesics[np.ix_(images, images)]
+        changes.append(np.abs(shapes[i].geodesics[: len(images), : len(images)] - there).mean())
+    return float(np.mean(changes))
 
 
 def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:
