@@ -21,7 +21,7 @@ from fmsync.samplers.random_streams import generators
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
 
-_STEP, _SETTLE = 6, 8  # functions by which the new maps grow, and rounds at the final size
+_STEP, _SETTLE = 6, 8  # functions by which the new maps grow, and rounds at the final size among point clouds
 _SWEEPS = 30  # from the mode of a unimodal density, in which planes hardly depend on each other
 
 

@@ -27,7 +27,7 @@ _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
 ROUNDS = 4  # of samples that move rigidly
-_JUDGES = 300  # samples whose distances tell which of two refinements is better
+_JUDGES, _CLEAR = 300, 0.05  # samples whose distances tell if rigid motion did harm: a clearly larger change does
 
 
 @checks.checked(n_shapes="N >= 2", edges="E 2 < N", maps="E k k")
@@ -85,16 +85,16 @@ def upsample(
     jobs: int = 1,
     progress: bool = False,
 ) -> np.ndarray:
-    """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k) of the pairs (E, 2).
+    """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k), k <= ``size``, of the pairs (E, 2).
 
     Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
     those on which all agree: a pair's error does not grow. If all shapes are meshes this is done four times at the full
     size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
     j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
     map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` may be poor, or
-    between mirrored meshes, which are reflected: they do first the one and then the other, and what keeps distances
-    better is returned. With orthonormal rows relative maps are exactly consistent. Pairs are matched in ``jobs``
-    threads, at most one a core.
+    between mirrored meshes, which are reflected: those of meshes grow first, and what comes of moving samples is
+    returned unless it keeps distances clearly worse. With orthonormal rows relative maps are exactly consistent. Pairs
+    are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
     growing = sizes(maps.shape[-1], size, fast) if given or not bodies else []
@@ -131,7 +131,10 @@ def upsample(
             if step in (len(growing), len(steps)):
                 u, _, vt = np.linalg.svd(latent, full_matrices=False)
                 found.append(u @ vt)
-        return found[0] if len(found) == 1 else min(found, key=lambda y: _distortion(shapes, edges, y))
+        if len(found) == 1:
+            return found[0]
+        grown, moved = (_distortion(shapes, edges, y) for y in found)
+        return found[int(moved < (1 + _CLEAR) * grown)]
 
 
 def _distortion(shapes: Sequence[SampledShape], edges: np.ndarray, latent: np.ndarray) -> float:

@@ -96,7 +96,7 @@ def rigid_images(first: RigidSamples, second: RigidSamples, images: np.ndarray, 
     Minimises over positions y and rotations R in turn, for the given images t,
     :math:`\frac12\sum_{i,j}\lVert(y_i-y_j)-R_i(x_i-x_j)\rVert^2+\frac wS\sum_i\lVert y_i-t_i\rVert^2`, the first sum
     over neighbours i and j in both orders; then goes on with the vertices nearest in position and normal for t. With
-    ``mirrored`` reflections take the place of rotations if the images turn most normals inwards.
+    ``mirrored`` reflections take the place of rotations if the images turn normals inwards on average.
 
     >>> import data_gen
     >>> from fmsync.matching.samples import sample_shape
