@@ -186,7 +186,7 @@ def synchronize_shapes(
     Bases and evenly spread samples; a map for every pair of the graph (:func:`fmsync.matching.pairwise.match`); signs;
     robust synchronisation; synchronised maps and two-hop compositions proposed to every pair, taken where they keep
     distances better; posterior with inferred concentration; larger maps through functions that all shapes share, of
-    meshes by moving samples as rigidly as possible (:mod:`fmsync.matching.rigid`). A shape in several pieces, inside
+    meshes by moving samples as rigidly as possible (``fmsync.matching.rigid``). A shape in several pieces, inside
     out or mirrored is a ValueError that names it; shapes of equal names become ``name (shape k)``. Shapes that are
     unlike the rest are named in a warning, or left out (:mod:`fmsync.matching.outliers`).
     Unless maps are given, small holes are closed for bases and distances, not in ``shapes``.
