@@ -84,7 +84,7 @@ def test_a_vertex_of_the_report_says_where_it_goes(report, written, size, theme)
     for view in ("posterior", "calibrated"):
         report.locator("label", has_text=view).click()
         assert _ready(report)["view"] == view
-        assert _blue(report, 1) > 100  # the region; without one there are fewer than 20
+        assert _blue(report, 1) > 40  # the region, small on a phone; without one there are fewer than 20
         radii.append(float(words.inner_text().split("region ")[1].split()[0].removesuffix(".")))
     table = np.genfromtxt(written.folder / "point_maps" / "cat1_to_cat0.csv", delimiter=",", names=True)
     row = table[int(moved["vertex"])]
