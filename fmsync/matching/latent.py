@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from fmsync import checks
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
+from fmsync.matching.pairwise import geodesic_distortion
 from fmsync.matching.rigid import RigidSamples, rigid_images, rigid_samples
 from fmsync.matching.samples import SampledShape
 from fmsync.so import transpose
@@ -140,12 +141,8 @@ def upsample(
 def _distortion(shapes: Sequence[SampledShape], edges: np.ndarray, latent: np.ndarray) -> float:
     """Mean absolute change of the distances between some samples, over the pairs."""
     values = [s.sampled(_JUDGES)[:, : y.shape[1]] @ y.T for s, y in zip(shapes, latent)]
-    changes = []
-    for i, j in edges:
-        images = nearest_rows(values[i], values[j])
-        there = shapes[j].geodesics[np.ix_(images, images)]
-        changes.append(np.abs(shapes[i].geodesics[: len(images), : len(images)] - there).mean())
-    return float(np.mean(changes))
+    each = (geodesic_distortion(shapes[i], shapes[j], nearest_rows(values[i], values[j])) for i, j in edges)
+    return float(np.mean(list(each)))
 
 
 def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:

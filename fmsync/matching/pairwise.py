@@ -102,9 +102,7 @@ def map_scores(
     first: SampledShape, second: SampledShape, maps: np.ndarray, images: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Geodesic distortion, orientation and distance of landmarks from their images, each (R,), of (R, k, k) maps."""
-    size = images.shape[1]
-    before = first.geodesics[:size, :size]
-    distortion = np.array([np.abs(before - second.geodesics[np.ix_(p, p)]).mean() for p in images])
+    distortion = np.array([geodesic_distortion(first, second, p) for p in images])
     marks = np.arange(first.n_landmarks)
     missed = second.geodesics[images[:, marks], marks].mean(axis=1) if len(marks) else np.zeros(len(maps))
     if first.orientation is None or second.orientation is None:
@@ -115,6 +113,12 @@ def map_scores(
     left, right = first.orientation[:, :n, :n] @ rotations, rotations @ second.orientation[:, :n, :n]
     scale = np.sqrt((left**2).sum((1, 2, 3)) * (right**2).sum((1, 2, 3)))
     return distortion, (left * right).sum((1, 2, 3)) / np.maximum(scale, 1e-300), missed
+
+
+def geodesic_distortion(first: SampledShape, second: SampledShape, images: np.ndarray) -> float:
+    """Mean absolute change of distances between samples whose ``images`` (S,) are samples of ``second``."""
+    size = len(images)
+    return float(np.abs(first.geodesics[:size, :size] - second.geodesics[np.ix_(images, images)]).mean())
 
 
 def _costs(distortion: Any, orientation: Any, missed: Any) -> Any:
