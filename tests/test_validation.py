@@ -142,7 +142,7 @@ class Valid:
         estimate = fmsync.solve(problem)
         kept = np.arange(20)
         one = SampledShape(
-            self.shape, basis, kept, rng.random((20, 20)), rng.random((5, 4)), rng.standard_normal((4, 5, 5)), 0,
+            self.shape, basis, kept, rng.random((20, 20)), rng.random((5, 4)), rng.standard_normal((4, 5, 5)), None, 0,
         )  # fmt: skip
         score = rng.random(40)
         known = Confidence(*np.zeros((6, 40)), 0.9, score**2, *np.ones((2, 40)))

@@ -9,10 +9,11 @@ import numpy as np
 from fmsync import checks, so
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
-from fmsync.matching.latent import ROUNDS, map_from_values, rigid_bodies, rigid_map
+from fmsync.matching.latent import ROUNDS, map_from_values, rigid_bodies
 from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
 from fmsync.matching.outliers import belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
+from fmsync.matching.rigid import rigid_map
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior

@@ -19,15 +19,16 @@ from tqdm import tqdm
 from fmsync import checks
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.pairwise import geodesic_distortion
-from fmsync.matching.rigid import RigidSamples, rigid_images, rigid_samples
+from fmsync.matching.rigid import RigidSamples, rigid_map, rigid_samples
 from fmsync.matching.samples import SampledShape
 from fmsync.so import transpose
 from fmsync.threads import single_threaded_blas
 
 _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
+_GROWN = 20  # functions from which maps grow: beyond them a pair's map is less right than what the others make of it
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
-ROUNDS = 4  # of samples that move rigidly
+ROUNDS = 6  # of samples that move rigidly
 _JUDGES, _CLEAR = 300, 0.05  # samples whose distances tell if rigid motion did harm: a clearly larger change does
 
 
@@ -89,7 +90,7 @@ def upsample(
     """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k), k <= ``size``, of the pairs (E, 2).
 
     Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
-    those on which all agree: a pair's error does not grow. If all shapes are meshes this is done four times at the full
+    those on which all agree: a pair's error does not grow. If all shapes are meshes this is done six times at the full
     size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
     j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
     map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` may be poor, or
@@ -98,7 +99,10 @@ def upsample(
     are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
-    growing = sizes(maps.shape[-1], size, fast) if given or not bodies else []
+    growing = []
+    if given or not bodies:
+        maps = maps[:, :_GROWN, :_GROWN]
+        growing = sizes(maps.shape[-1], size, fast)
     steps = growing + [size] * (ROUNDS if bodies else 0)
 
     def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
@@ -147,23 +151,7 @@ def _distortion(shapes: Sequence[SampledShape], edges: np.ndarray, latent: np.nd
 
 def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:
     """The samples of every shape, or an empty list if one of the shapes has no faces."""
-    return [rigid_samples(s) for s in shapes] if all(s.shape.faces is not None for s in shapes) else []
-
-
-def rigid_map(
-    bodies: tuple[RigidSamples, RigidSamples],
-    back: np.ndarray,
-    second: SampledShape,
-    values: Sequence[np.ndarray],
-    mirrored: bool = False,
-) -> np.ndarray:
-    """C_ij (m, m) of the samples of i, matched by values of shared functions and moved as rigidly as possible.
-
-    ``back`` (m, S) is the pseudo-inverse of the basis at the samples of i, ``second`` is shape j, and ``values`` are
-    those at the samples of i (S, M) and of j.
-    """
-    near = bodies[1].samples[nearest_rows(*(x.astype(np.float32) for x in values))]
-    return back @ second.basis.eigenfunctions[rigid_images(*bodies, near, mirrored), : len(back)]
+    return [rigid_samples(s) for s in shapes] if all(s.normals is not None for s in shapes) else []
 
 
 def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> np.ndarray:

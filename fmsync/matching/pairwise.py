@@ -1,8 +1,9 @@
 r"""A functional map of two shapes from nothing but the shapes.
 
 Signs of the first eigenfunctions, turns of neighbours that a pose may mix, and a fit of descriptors give many rough
-maps; spectral upsampling (ZoomOut, Melzi et al. 2019) makes each of them precise or exposes it; the one that keeps
-geodesic distances and orientation is the answer. Trying many signs is the idea of MapTree (Ren et al. 2020).
+maps; spectral upsampling (ZoomOut, Melzi et al. 2019) makes each of them precise or exposes it; samples of the best
+then move as rigidly as possible, if both shapes are meshes; and the one that keeps geodesic distances and orientation
+is the answer. Trying many signs is the idea of MapTree (Ren et al. 2020).
 """
 
 import itertools
@@ -13,16 +14,18 @@ import numpy as np
 
 from fmsync import checks
 from fmsync.functional_maps import functional_map_from_descriptors, row_images
+from fmsync.matching.rigid import RigidSamples, rigid_map, rigid_samples
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
 
-_SIGNS = 7  # first eigenfunctions whose signs are all tried: 64 maps
+_SIGNS = 8  # first eigenfunctions whose signs are all tried: 128 maps
 _MIXED = 0.25  # neighbours whose log-eigenvalues are nearer may be turned: a pose moves each by up to a third of that
 _SAMPLES = 80, 150, 300  # by which candidates are compared at the first, second and third choice,
 _SIZES = 9, 20, 50  # and the sizes to which they are upsampled before
 FINE = _SIZES[-1]
-_SURVIVORS = 128, 12  # of the first and the second choice
+_SURVIVORS = 128, 12  # of the first and the second choice,
+_MOVED = 2, 1  # and those whose samples then move rigidly, once and again
 _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
 
 
@@ -50,7 +53,11 @@ class PairMatch:
 
 @checks.checked()
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
-    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``."""
+    """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``.
+
+    What is not at samples is not looked at, so that :meth:`fmsync.matching.samples.SampledShape.light` ones do.
+    """
+    first, second = first.light(FINE), second.light(FINE)
     few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)
 
     def survivors(count: int, maps: np.ndarray, images: np.ndarray) -> np.ndarray:
@@ -66,10 +73,30 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         turned, fitted = (zoomout(first, second, maps, rough, 2, _SAMPLES[1]) for maps in (starts, fit))
         maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(turned, fitted)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
-        distortion, orientation, missed = map_scores(first, second, maps, images)
-    k = int(np.argmin(_costs(distortion, orientation, missed)))
+        scores = np.array(map_scores(first, second, maps, images))  # (3, R)
+        if first.normals is not None and second.normals is not None:
+            bodies = rigid_samples(first, _SAMPLES[2]), rigid_samples(second, _SAMPLES[2])
+            best, of_best = maps, scores
+            for count in _MOVED:
+                best = moved(first, second, bodies, best[np.argsort(_costs(*of_best), kind="stable")[:count]])
+                images = row_images(first.sampled(_SAMPLES[2])[:, :fine], best, second.sampled(_SAMPLES[2])[:, :fine])
+                of_best = np.array(map_scores(first, second, best, images))
+                maps, scores = np.concatenate([maps, best]), np.hstack([scores, of_best])
+    distortion, orientation, missed = scores
+    k = int(np.argmin(_costs(*scores)))
     mirrored = distortion[orientation < 0].min(initial=np.inf)
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored), float(missed[k]))
+
+
+def moved(
+    first: SampledShape, second: SampledShape, bodies: tuple[RigidSamples, RigidSamples], maps: np.ndarray
+) -> np.ndarray:
+    """Maps (2R, m, m) from maps (R, m, m), by samples that move as rigidly as possible from i to j, and from j to i."""
+    size, m = len(bodies[0].samples), maps.shape[-1]
+    at_i, at_j = first.sampled(size)[:, :m], second.sampled(size)[:, :m]
+    back_i, back_j = np.linalg.pinv(at_i), np.linalg.pinv(at_j)
+    there = [rigid_map(bodies, back_i, second, (at_i @ c, at_j)) for c in maps]
+    return np.array(there + [rigid_map(bodies[::-1], back_j, first, (at_j @ c.T, at_i)).T for c in maps])
 
 
 def improve(first: SampledShape, second: SampledShape, proposed: np.ndarray, size: int = FINE) -> PairMatch:

@@ -6,6 +6,7 @@ map that is fitted to its own point map stays where it is. Here the samples move
 that face the same way.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,8 @@ from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 
 from fmsync import so
+from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
-from fmsync.shape import vertex_normals
 
 _NEIGHBOURS = 8  # of every sample
 _POSITIONS = 1000.0  # weight of positions against rigidity
@@ -30,7 +31,7 @@ class RigidSamples:
 
     ``samples`` (S,) are vertices, ``points`` (S, 3) their places about the mean; ``links`` (S, S) is 1 for neighbours;
     ``factor`` solves for the positions that keep turned edges and images best; ``vertices`` and ``normals`` (V, 3) are
-    those of the mesh, and in its ``tree``.
+    where images can be, and in the ``tree``.
     """
 
     samples: np.ndarray
@@ -65,8 +66,8 @@ class RigidSamples:
         return self.tree.query(np.hstack([moved, _NORMALS * normals]))[1]
 
 
-def rigid_samples(shape: SampledShape) -> RigidSamples:
-    """The samples of a mesh, each linked with those nearest along the surface.
+def rigid_samples(shape: SampledShape, count: int | None = None) -> RigidSamples:
+    """The first ``count`` samples of a mesh, or all, each linked with those nearest along the surface.
 
     >>> import data_gen
     >>> from fmsync.matching.samples import sample_shape
@@ -75,17 +76,16 @@ def rigid_samples(shape: SampledShape) -> RigidSamples:
     >>> body.points.shape, int(body.links.sum(axis=1).min())
     ((100, 3), 8)
     """
-    size, own = len(shape.samples), shape.samples
-    count = min(_NEIGHBOURS, size - 1)
-    near = np.argpartition(shape.geodesics, count, axis=1)[:, : count + 1]
-    near = sp.csr_array((np.ones(near.size), near.ravel(), np.arange(size + 1) * (count + 1)), shape=(size, size))
+    own, vertices, normals = shape.samples[:count], shape.shape.vertices, shape.normals
+    assert normals is not None, "a point cloud has no normals"
+    size = len(own)
+    neighbours = min(_NEIGHBOURS, size - 1)
+    near = np.argpartition(shape.geodesics[:size, :size], neighbours, axis=1)[:, : neighbours + 1]
+    near = sp.csr_array((np.ones(near.size), near.ravel(), np.arange(size + 1) * (neighbours + 1)), shape=(size, size))
     links = ((near + near.T) > 0).astype(float)
     links.setdiag(0)
     links.eliminate_zeros()
     stiffness = sp.diags_array(links.sum(axis=1) + _POSITIONS / size) - links
-    vertices, faces = shape.shape.vertices, shape.shape.faces
-    assert faces is not None, "a point cloud has no normals"
-    normals = vertex_normals(vertices, faces)
     tree, points = cKDTree(np.hstack([vertices, _NORMALS * normals])), vertices[own] - vertices[own].mean(axis=0)
     return RigidSamples(own, points, links, splu(stiffness.tocsc()), vertices, normals, tree)
 
@@ -118,6 +118,22 @@ def rigid_images(first: RigidSamples, second: RigidSamples, images: np.ndarray, 
         moved = first.moved(rotations, target)
         rotations = first.rotations(moved)
     return second.closest(moved, (rotations @ normals)[..., 0])
+
+
+def rigid_map(
+    bodies: tuple[RigidSamples, RigidSamples],
+    back: np.ndarray,
+    second: SampledShape,
+    values: Sequence[np.ndarray],
+    mirrored: bool = False,
+) -> np.ndarray:
+    """C_ij (m, m) of the samples of i, matched by values of shared functions and moved as rigidly as possible.
+
+    ``back`` (m, S) is the pseudo-inverse of the basis at the samples of i, ``second`` is shape j, and ``values`` are
+    those at the samples of i (S, M) and of j.
+    """
+    near = bodies[1].samples[nearest_rows(*(x.astype(np.float32) for x in values))]
+    return back @ second.basis.eigenfunctions[rigid_images(*bodies, near, mirrored), : len(back)]
 
 
 def _polar_factors(a: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from fmsync import checks
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.extras import require
 from fmsync.mesh_repair import filled
-from fmsync.shape import Basis, Shape, laplace_beltrami
+from fmsync.shape import Basis, Shape, laplace_beltrami, vertex_normals
 
 _HOLE = 1.0  # longest rim of a hole that is closed, in square roots of the area: of a disc of 8 % of it
 _COARSE = 3000  # vertices of the mesh on which geodesic distances are computed
@@ -25,7 +25,7 @@ class SampledShape:
     ``basis`` are all basis functions, of which maps use the first few; ``samples`` (S,) vertices, of which any first
     few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in
     square roots of the area, symmetric; ``coefficients`` (n, K) of :func:`descriptors` in the basis; ``orientation``
-    (K, n, n) operators that change sign on the mirror image, None for a point cloud.
+    (K, n, n) operators that change sign on the mirror image and ``normals`` (V, 3), both None for a point cloud.
     """
 
     shape: Shape
@@ -34,6 +34,7 @@ class SampledShape:
     geodesics: np.ndarray
     coefficients: np.ndarray
     orientation: np.ndarray | None
+    normals: np.ndarray | None
     n_landmarks: int = 0
 
     @checks.checked()
@@ -54,6 +55,7 @@ class SampledShape:
             basis=Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own]),
             samples=np.arange(len(own)),
             coefficients=self.coefficients[:n],
+            normals=None if self.normals is None else self.normals[own],
         )
 
 
@@ -97,6 +99,7 @@ def sample_shape(
         geodesics=geodesics_between(closed, samples),
         coefficients=basis.coefficients(functions),
         orientation=oriented,
+        normals=None if shape.faces is None else vertex_normals(shape.vertices, shape.faces),
         n_landmarks=len(landmarks),
     )
 

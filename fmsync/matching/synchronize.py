@@ -292,7 +292,8 @@ def synchronize_matches(
         used = best_of_pairs(edges, matches, network.trusted_edges(problem, estimate))
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
-    start = np.array([matches[e].c_ij[:n_basis, :n_basis] for e in used.tolist()])
+    known = min(len(matches[e].c_ij) for e in used.tolist())
+    start = np.array([matches[e].c_ij[:known, :known] for e in used.tolist()])
     refined = upsample(shapes, edges[used], start, n_refined, fast=fast, given=are_given, jobs=jobs, progress=progress)
     give_back()
     return SyncedShapes(
