@@ -119,12 +119,12 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
         "robustly synchronised, upsampled": evaluation.mean(pairs, upsampled),
         "proposed to the pairs, synchronised": evaluation.mean(pairs, relative(start)),
     }
-    maps = np.array([x.c_ij[:n, :n] for x in proposed])
+    maps = np.array([x.c_ij for x in proposed])
     for size in sorted({min(size, m) for size in (FINE, 80, m)}):
-        with cpu_seconds(seconds, f"upsampled together to {size}"):
+        with cpu_seconds(seconds, f"refined together to {size}"):
             latent = upsample(shapes, edges, maps, size)
         missed = [evaluation.errors(i, j, latent[i], latent[j]) for i, j in pairs]
-        errors[f"pipeline (upsampled together to {size})"] = float(np.mean(missed))
+        errors[f"pipeline (refined together to {size})"] = float(np.mean(missed))
     if peers:
         pyfm_stages(synced, evaluation, matches, errors, seconds)
     return {"mean_geodesic_error": errors, "cpu_seconds": seconds}

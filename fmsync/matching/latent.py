@@ -95,8 +95,8 @@ def upsample(
     j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
     map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` may be poor, or
     between mirrored meshes, which are reflected: those of meshes grow first, and what comes of moving samples is
-    returned unless it keeps distances clearly worse. With orthonormal rows relative maps are exactly consistent. Pairs
-    are matched in ``jobs`` threads, at most one a core.
+    returned unless it keeps distances clearly worse. Maps that grow start with 20 functions at most. With orthonormal
+    rows relative maps are exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
     growing = []

@@ -19,13 +19,13 @@ from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
 
-_SIGNS = 8  # first eigenfunctions whose signs are all tried: 128 maps
+_SIGNS = 8  # first eigenfunctions; all but the constant one are tried with both signs: 128 maps
 _MIXED = 0.25  # neighbours whose log-eigenvalues are nearer may be turned: a pose moves each by up to a third of that
 _SAMPLES = 80, 150, 300  # by which candidates are compared at the first, second and third choice,
 _SIZES = 9, 20, 50  # and the sizes to which they are upsampled before
 FINE = _SIZES[-1]
 _SURVIVORS = 128, 12  # of the first and the second choice,
-_MOVED = 2, 1  # and those whose samples then move rigidly, once and again
+_MOVED = 2, 1  # and those whose samples then move rigidly, and of what comes of it again
 _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
 
 
@@ -55,7 +55,7 @@ class PairMatch:
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``.
 
-    What is not at samples is not looked at, so that :meth:`fmsync.matching.samples.SampledShape.light` ones do.
+    Only what is at samples counts: :meth:`fmsync.matching.samples.SampledShape.light` shapes give the same map.
     """
     first, second = first.light(FINE), second.light(FINE)
     few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)
@@ -74,6 +74,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(turned, fitted)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
         scores = np.array(map_scores(first, second, maps, images))  # (3, R)
+        unmoved, mirrored = scores[0, np.argmin(_costs(*scores))], scores[0, scores[1] < 0].min(initial=np.inf)
         if first.normals is not None and second.normals is not None:
             bodies = rigid_samples(first, _SAMPLES[2]), rigid_samples(second, _SAMPLES[2])
             best, of_best = maps, scores
@@ -84,7 +85,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
                 maps, scores = np.concatenate([maps, best]), np.hstack([scores, of_best])
     distortion, orientation, missed = scores
     k = int(np.argmin(_costs(*scores)))
-    mirrored = distortion[orientation < 0].min(initial=np.inf)
+    mirrored *= distortion[k] / max(unmoved, 1e-300)  # had its samples moved as well
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored), float(missed[k]))
 
 
@@ -92,8 +93,8 @@ def moved(
     first: SampledShape, second: SampledShape, bodies: tuple[RigidSamples, RigidSamples], maps: np.ndarray
 ) -> np.ndarray:
     """Maps (2R, m, m) from maps (R, m, m), by samples that move as rigidly as possible from i to j, and from j to i."""
-    size, m = len(bodies[0].samples), maps.shape[-1]
-    at_i, at_j = first.sampled(size)[:, :m], second.sampled(size)[:, :m]
+    shapes, m = (first, second), maps.shape[-1]
+    at_i, at_j = (s.sampled(len(body.samples))[:, :m] for s, body in zip(shapes, bodies))
     back_i, back_j = np.linalg.pinv(at_i), np.linalg.pinv(at_j)
     there = [rigid_map(bodies, back_i, second, (at_i @ c, at_j)) for c in maps]
     return np.array(there + [rigid_map(bodies[::-1], back_j, first, (at_j @ c.T, at_i)).T for c in maps])
@@ -130,7 +131,7 @@ def map_scores(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Geodesic distortion, orientation and distance of landmarks from their images, each (R,), of (R, k, k) maps."""
     distortion = np.array([geodesic_distortion(first, second, p) for p in images])
-    marks = np.arange(first.n_landmarks)
+    marks = np.arange(min(first.n_landmarks, images.shape[1]))
     missed = second.geodesics[images[:, marks], marks].mean(axis=1) if len(marks) else np.zeros(len(maps))
     if first.orientation is None or second.orientation is None:
         return distortion, np.zeros(len(maps)), missed

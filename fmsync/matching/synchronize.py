@@ -33,6 +33,7 @@ from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 
+_RECIPE = 2  # of a pair's map: another number makes finished pairs anew
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _COMPOSED = 3  # two-hop compositions that are tried as well
 _DRAWS_SHOWN = 100  # draws that carry vertices
@@ -292,7 +293,7 @@ def synchronize_matches(
         used = best_of_pairs(edges, matches, network.trusted_edges(problem, estimate))
     part, are_given = network.trusted_part(problem, estimate, used), bool(map_names)
     posterior = network.posterior_draws(part, estimate, n_draws, rng, progress, are_given) if n_draws else None
-    known = min(len(matches[e].c_ij) for e in used.tolist())
+    known = n_basis if are_given else min(n_refined, *(len(m.c_ij) for m in matches))
     start = np.array([matches[e].c_ij[:known, :known] for e in used.tolist()])
     refined = upsample(shapes, edges[used], start, n_refined, fast=fast, given=are_given, jobs=jobs, progress=progress)
     give_back()
@@ -422,7 +423,8 @@ def _cached_match(first: SampledShape, second: SampledShape, folder: str | Path 
     """The match of a pair, read from ``folder`` where it was finished before."""
     if folder is None:
         return match(first, second)
-    key = joblib.hash([(s.shape.vertices, s.basis.eigenvalues, s.coefficients, s.geodesics) for s in (first, second)])
+    parts = [(s.shape.vertices, s.normals, s.basis.eigenvalues, s.coefficients, s.geodesics) for s in (first, second)]
+    key = joblib.hash((_RECIPE, parts))
     file = Path(folder) / f"{key[:24]}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(file) as kept:
         return PairMatch(kept["c_ij"], *(float(x) for x in kept["numbers"]))  # a damaged file is made anew

@@ -112,8 +112,8 @@ def test_stages_have_errors_and_seconds(observed):
     pytest.importorskip("pyFM")
     found = stages.stages(observed.synced, observed.evaluation, peers=True)
     errors = found["mean_geodesic_error"]
-    assert errors["pipeline (upsampled together to 30)"] < errors["pairwise (with its own ZoomOut)"] + 0.02
-    assert set(found["cpu_seconds"]) >= {"synchronised maps proposed to the pairs", "upsampled together to 30"}
+    assert errors["pipeline (refined together to 30)"] < errors["pairwise (with its own ZoomOut)"] + 0.02
+    assert set(found["cpu_seconds"]) >= {"synchronised maps proposed to the pairs", "refined together to 30"}
     assert "pyFM Consistent ZoomOut to 30 from our pairwise maps" in errors
 
 
