@@ -6,6 +6,7 @@ shapes do not share, such as half of a pair of eigenfunctions that the cut at n 
 Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020).
 """
 
+import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -105,9 +106,13 @@ def upsample(
         growing = sizes(maps.shape[-1], size, fast)
     steps = growing + [size] * (ROUNDS if bodies else 0)
 
-    def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
+    @functools.lru_cache(maxsize=1)  # the last rounds have one size
+    def at_samples(m: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
         at = [s.sampled()[:, :m] for s in shapes]
-        back = [np.linalg.pinv(phi) for phi in at]
+        return at, [np.linalg.pinv(phi) for phi in at]
+
+    def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
+        at, back = at_samples(m)
         values = [phi[:, : y.shape[1]] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
 
         def rigid(i: int, j: int) -> np.ndarray:
