@@ -26,6 +26,7 @@ _SIZES = 9, 20, 50  # and the sizes to which they are upsampled before
 FINE = _SIZES[-1]
 _SURVIVORS = 128, 12  # of the first and the second choice,
 _MOVED = 2, 1  # and those whose samples then move rigidly, and of what comes of it again
+_EXACT = 1e-12  # distortions below are none
 _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geodesic distortion
 
 
@@ -85,7 +86,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
                 maps, scores = np.concatenate([maps, best]), np.hstack([scores, of_best])
     distortion, orientation, missed = scores
     k = int(np.argmin(_costs(*scores)))
-    mirrored *= distortion[k] / max(unmoved, 1e-300)  # had its samples moved as well
+    mirrored *= max(distortion[k], _EXACT) / max(unmoved, _EXACT)  # had its samples moved as well
     return PairMatch(maps[k], float(distortion[k]), float(orientation[k]), float(mirrored), float(missed[k]))
 
 

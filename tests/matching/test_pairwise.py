@@ -48,3 +48,10 @@ def test_more_landmarks_than_candidates_are_compared_by(cats):
     marks = np.arange(0, cats[0].n_vertices, cats[0].n_vertices // 100)
     first, second = (sample_shape(cat, 20, 200, landmarks=marks) for cat in cats[:2])
     assert match(first, second).missed < 0.1
+
+
+def test_a_copy_of_a_mesh_is_not_called_mirrored(cats):
+    first, second = (sample_shape(cat, 50, 300) for cat in (cats[0], cats[0]))
+    found = match(first, second)
+    assert found.distortion < 1e-9
+    assert found.mirrored_distortion > 1e-3
