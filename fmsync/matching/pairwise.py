@@ -56,7 +56,7 @@ class PairMatch:
 def match(first: SampledShape, second: SampledShape) -> PairMatch:
     """The best of many candidates for the map C_ij from shape j = ``second`` to shape i = ``first``.
 
-    Only what is at samples counts: :meth:`fmsync.matching.samples.SampledShape.light` shapes give the same map.
+    Only what is at samples counts: ``light()`` shapes give the same map.
     """
     first, second = first.light(FINE), second.light(FINE)
     few, rough, fine = (min(size, first.basis.n, second.basis.n) for size in _SIZES)
