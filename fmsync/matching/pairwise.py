@@ -81,7 +81,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
             best, of_best = maps, scores
             for count in _MOVED:
                 best = moved(first, second, bodies, best[np.argsort(_costs(*of_best), kind="stable")[:count]])
-                images = row_images(first.sampled(_SAMPLES[2])[:, :fine], best, second.sampled(_SAMPLES[2])[:, :fine])
+                images = zoomout(first, second, best, fine, 6, _SAMPLES[2])[1]  # the maps have that size
                 of_best = np.array(map_scores(first, second, best, images))
                 maps, scores = np.concatenate([maps, best]), np.hstack([scores, of_best])
     distortion, orientation, missed = scores
