@@ -50,7 +50,7 @@ def fitted(rows: pd.DataFrame) -> ConformalCalibration:
 
 def coverage(rows: pd.DataFrame, calibration: ConformalCalibration) -> pd.DataFrame:
     """Share of true images inside the regions of every level, by species."""
-    score = rows["score"] / np.sqrt(rows["fullness"])
+    score = rows["score"] / rows["fullness"]
     inside = {str(q): rows["error"] <= calibration.scale(q) * score for q in LEVELS}
     return pd.DataFrame(inside).groupby(rows["species"]).mean()
 

@@ -56,11 +56,11 @@ class Confidence:
         return np.sqrt(self.local_distortion * np.sqrt(self.distortion.mean()))
 
     def region_score(self) -> np.ndarray:
-        r"""(S,) what radii of regions are multiples of: uncertainty score over :math:`\sqrt f`, f the fullness.
+        """(S,) what radii of regions are multiples of: uncertainty score over fullness.
 
         In thin parts errors are on average what the uncertainty score says, but the largest are larger: along the part.
         """
-        return self.uncertainty_score() / np.sqrt(self.fullness)
+        return self.uncertainty_score() / self.fullness
 
 
 def confidence(

@@ -141,7 +141,7 @@ def test_species_left_out_are_covered_as_promised():
     rng, count = np.random.default_rng(0), 200
     number = np.repeat(np.arange(count), 60)
     score, fullness = rng.random((2, len(number))) + 0.1
-    error = np.exp(rng.standard_normal(count))[number] * score / np.sqrt(fullness) * rng.exponential(size=len(number))
+    error = np.exp(rng.standard_normal(count))[number] * score / fullness * rng.exponential(size=len(number))
     rows = pd.DataFrame({"species": number, "pair": np.arange(len(number)) // 20 % 3, "score": score, "error": error})
     rows["fullness"] = fullness
     for q, found in species.summary(species.left_out(rows)).items():
