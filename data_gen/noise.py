@@ -14,7 +14,7 @@ from fmsync import SyncProblem, checks, so
 _VERSIONS = {m.__name__: m.__version__ for m in (fmsync, np, scipy)} | {"python": platform.python_version()}
 
 
-@checks.checked()
+@checks.checked(around=("consistent", "measured"), outlier_kind=("haar", "flip"))
 def perturb(
     truth: GroundTruth,
     sigma2: float | None = None,
@@ -50,8 +50,6 @@ def perturb(
     [2, 3]
     """
     disturb = _family(noise, sigma2, kappa)
-    checks.one_of("around", around, ("consistent", "measured"))
-    checks.one_of("outlier_kind", outlier_kind, ("haar", "flip"))
     if not 0 <= outliers < 1:
         raise ValueError(f"outliers: must lie in [0, 1), got {outliers}")
     if outlier_kind == "flip" and outliers > 0 and truth.flip is None:

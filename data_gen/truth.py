@@ -62,7 +62,7 @@ class GroundTruth:
         return relative_maps(self.absolute, edges)
 
 
-@checks.checked(flip="V < W")
+@checks.checked(flip="V < W", tree=TREES)
 def ground_truth(
     shapes: Sequence[Shape],
     graph: nx.Graph | None = None,
@@ -95,7 +95,6 @@ def ground_truth(
     edges = graph_edges(graph)
     if len(shapes) != graph.number_of_nodes():
         raise ValueError(f"graph: has {graph.number_of_nodes()} nodes for {len(shapes)} shapes")
-    checks.one_of("tree", tree, TREES)
     if point_maps is None:
         require_common_order(shapes)
     if bases is None:
@@ -159,20 +158,14 @@ def fix_signs(bases: Sequence[Basis], point_maps: Mapping[tuple[int, int], np.nd
     return fixed
 
 
-@checks.checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E")
+@checks.checked(n_nodes="N >= 1", edges="E 2 < N", maps="E n n", distortion="E", tree=TREES)
 def absolute_maps(
-    n_nodes: int,
-    edges: np.ndarray,
-    maps: np.ndarray,
-    *,
-    tree: str = "depth-first",
-    distortion: np.ndarray | None = None,
+    n_nodes: int, edges: np.ndarray, maps: np.ndarray, tree: str = "depth-first", distortion: np.ndarray | None = None
 ) -> np.ndarray:
     """Absolute maps (N, n, n) with C_1 = I, multiplied along a spanning tree from node 0: C_j = C_i C_ij.
 
     ``distortion`` (E,) weighs the edges of the ``"minimum-distortion"`` tree.
     """
-    checks.one_of("tree", tree, TREES)
     lookup = {}
     graph = nx.empty_graph(n_nodes)
     for e, (i, j) in enumerate(np.asarray(edges).tolist()):

@@ -113,22 +113,22 @@ def rhat(values: np.ndarray) -> float:
     >>> rhat(noise) < 1.01 < rhat(noise + np.arange(4)[:, None])
     True
     """
-    return float(_array_stats().rhat(values)) if _varies(values) else np.nan
+    return _statistic("rhat", values)
 
 
 @checks.checked(values="chains draws", kind=("bulk", "tail"))
 def ess(values: np.ndarray, kind: str = "bulk") -> float:
     """Effective sample size of (chains, draws): ``"bulk"`` for the middle of a distribution, or ``"tail"``."""
-    if not _varies(values):
+    return _statistic("ess", values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None)
+
+
+def _statistic(name: str, values: np.ndarray, **options: Any) -> float:
+    """Of values that vary; imported here, because beside xarray and pandas the package takes seconds to import."""
+    if values.shape[1] < 4 or not np.ptp(values) > 0:
         return np.nan
-    return float(_array_stats().ess(values, method=kind, prob=(0.05, 0.95) if kind == "tail" else None))
-
-
-def _array_stats() -> Any:
-    """Imported when a number is asked for: beside xarray and pandas the package takes seconds to import."""
     from arviz_stats.base import array_stats  # noqa: PLC0415
 
-    return array_stats
+    return float(getattr(array_stats, name)(values, **options))
 
 
 @checks.checked(edges="K 2 < N")
@@ -190,10 +190,6 @@ def _warn(method: str, names: tuple[str, ...], r_hat: np.ndarray, effective: np.
         todos.append(f"raise n_draws (--draws) or thin{better}")
     if complaints:
         warnings.warn("; ".join(complaints + todos), ConvergenceWarning, stacklevel=5)
-
-
-def _varies(values: np.ndarray) -> bool:
-    return values.shape[1] >= 4 and np.ptp(values) > 0
 
 
 def short_run() -> AbstractContextManager[object]:

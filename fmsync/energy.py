@@ -103,27 +103,20 @@ def geodesic_energy(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
 
 
 @checks.checked(c="... N n n rotations")
-def geodesic_gradient(problem: SyncProblem, c: np.ndarray) -> np.ndarray:
-    r"""Body-frame gradient of ``geodesic_energy``, (..., N, n, n).
+def geodesic_energy_and_gradient(problem: SyncProblem, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r""":func:`geodesic_energy` (...) and its body-frame gradient (..., N, n, n) from the same logarithms.
 
     With :math:`A = C_i^\top C_j` and :math:`\Lambda = \log(C_{ij}^\top A)` an edge adds 2wΛ to g_j and
     :math:`-2w\,A\Lambda A^\top` to g_i. It jumps where an eigen-angle of an edge passes π (the cut locus).
     """
-    return geodesic_energy_and_gradient_unchecked(problem, c)[1]
-
-
-@checks.checked(c="... N n n rotations")
-def geodesic_energy_and_gradient(problem: SyncProblem, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`geodesic_energy` (...) and :func:`geodesic_gradient` (..., N, n, n) from the same logarithms."""
     logarithms = so.log_unchecked(transpose(problem.maps) @ relative_maps(c, problem.edges))  # (..., E, n, n)
     energies = np.einsum("...eab,...eab->...e", logarithms, logarithms) @ problem.weights
     head = c[..., problem.edges[:, 1], :, :]
     turns = np.moveaxis(head @ logarithms @ transpose(head), -3, 0)  # of the universe: opposite at the two ends
     start, edge, _, forward = problem.incidence
     signed = np.where(forward, 2, -2) * problem.weights[edge]
-    sums = csr_array((signed, edge, start), shape=(problem.n_nodes, problem.n_edges)) @ turns.reshape(
-        len(turns), turns[0].size
-    )
+    spread = csr_array((signed, edge, start), shape=(problem.n_nodes, problem.n_edges))
+    sums = spread @ turns.reshape(len(turns), turns[0].size)
     return energies, transpose(c) @ np.moveaxis(sums.reshape(problem.n_nodes, *turns.shape[1:]), 0, -3) @ c
 
 

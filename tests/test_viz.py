@@ -198,7 +198,7 @@ def test_bad_scenes_are_refused(arguments, message):
 
 
 def test_heatmaps_share_a_symmetric_scale():
-    picture = viz.heatmaps([np.diag([1.0, -4.0]), np.eye(2)], ["a", "b"], alt="Two.", columns=2)
+    picture = viz.heatmaps([np.diag([1.0, -4.0]), np.eye(2)], ["a", "b"], alt="Two.")
     image = pixels(picture.png)
     blue = (np.abs(image - [5, 48, 97]).max(axis=2) < 3).sum()  # RdBu_r at -4: only the first panel's entry
     assert blue > 500

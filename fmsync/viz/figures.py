@@ -129,19 +129,13 @@ def freeze(fig: Figure, scale: float, *, laid_out: bool = False) -> bytes:
 
 @checks.checked(matrices="n m")
 def heatmaps(
-    matrices: Sequence[ArrayLike],
-    titles: Sequence[str] | None = None,
-    *,
-    alt: str,
-    clim: Limits = None,
-    columns: int = 3,
+    matrices: Sequence[ArrayLike], titles: Sequence[str] | None = None, *, alt: str, clim: Limits = None
 ) -> Picture:
-    """Matrices side by side under one colour scale.
+    """Matrices side by side, three in a row, under one colour scale.
 
     * ``matrices``: K arrays of shape (n, m), e.g. functional maps.
     * ``titles``, ``alt``: K strings, and what the figure shows.
     * ``clim``: limits shared by all panels; by default symmetric about zero and wide enough for every entry.
-    * ``columns``: panels in a row.
 
     >>> heatmaps([np.eye(3), -np.eye(3)], ["plus", "minus"], alt="The identity and its negative.")
     <Picture: The identity and its negative.>
@@ -156,7 +150,7 @@ def heatmaps(
         top = max(float(np.abs(m).max()) for m in arrays)
         clim = (-top, top)
 
-    columns = min(columns, len(arrays))
+    columns = min(3, len(arrays))
     rows = -(-len(arrays) // columns)
     with mpl.style.context(STYLE):
         fig, axes = plt.subplots(rows, columns, figsize=(1.55 * columns + 0.8, 1.9 * rows), squeeze=False)

@@ -1,5 +1,7 @@
 """Every metric on numbers small enough to work out by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -22,18 +24,13 @@ def test_root_mean_square_by_hand():
     assert metrics.root_mean_square([1.0, 7.0]) == 5.0
 
 
-def test_curve_and_area_by_hand():
-    errors = [0.0, 0.1, 0.2, 0.0]
-    np.testing.assert_allclose(metrics.cumulative_curve(errors, [0.0, 0.15, 0.3]), [0.5, 0.75, 1.0])
-    # (1 + 0.5 + 0 + 1) / 4 of [0, 0.2]
-    assert metrics.area_under_curve(errors, 0.2) == pytest.approx(0.625)
-
-
-def test_area_is_the_integral_of_the_curve():
-    errors = np.random.default_rng(3).exponential(0.05, 500)
-    thresholds = (np.arange(2000) + 0.5) / 2000 * 0.25
-    integral = metrics.cumulative_curve(errors, thresholds).mean()
-    assert metrics.area_under_curve(errors, 0.25) == pytest.approx(integral, abs=1e-3)
+def test_curve_and_area_by_hand(monkeypatch):
+    monkeypatch.setattr(metrics, "point_map", lambda c, first, second, scored: scored)
+    planted = SimpleNamespace(scored=np.arange(4), bases=[None] * 2, distances=[None, np.diag([0.0, 0.125, 0.2, 0.0])])
+    found = {(name, at): value for name, at, value in metrics._measure_points(planted, [(0, 1)], [None])}
+    assert found["point_error", None] == pytest.approx(0.08125)
+    assert found["point_area", None] == pytest.approx(0.675)  # (1 + 0.5 + 0.2 + 1) / 4 of [0, 0.25]
+    assert [found["point_curve", at] for at in (0.0, 0.15, 0.25)] == [0.5, 0.75, 1.0]
 
 
 def test_cycle_error_of_one_turned_edge():
