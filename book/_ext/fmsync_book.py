@@ -48,8 +48,8 @@ def cache_folder() -> Path:
 
     digest = hashlib.sha256(f"turnable scenes: {can_render()}".encode())
     files = [ROOT / "requirements.txt"]
-    for package, pattern in (("fmsync", "*.py"), ("data_gen", "*"), ("bench", "*"), ("results", "*")):
-        files += sorted(p for p in (ROOT / package).rglob(pattern) if p.is_file() and "__pycache__" not in p.parts)
+    for package in ("fmsync", "data_gen", "bench", "results"):
+        files += sorted(p for p in (ROOT / package).rglob("*") if p.is_file() and "__pycache__" not in p.parts)
     files = [file for file in files if file.name != "worlds.json"]  # of which the status page alone speaks
     for file in files:
         digest.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes())
