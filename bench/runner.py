@@ -269,7 +269,7 @@ def _warm(name: str, options: str) -> None:
 
 
 def peak_memory(*, forget: bool = False) -> float:
-    """Largest size of this process in MB, where the system allows it after forgetting what was before."""
+    """Largest size of this process in MiB, where the system allows it after forgetting what was before."""
     with contextlib.suppress(OSError):
         if forget:
             Path("/proc/self/clear_refs").write_text("5")

@@ -5,15 +5,18 @@ speed changes meanwhile slows both. One thread, CPU seconds. ``python -m bench.s
 a million maps; to make it takes 20 GB. ``... workers`` solves and draws in one process and in two, by the clock.
 """
 
+import os
 import subprocess
 import sys
+import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 
 import joblib
+import networkx as nx
 import numpy as np
 from distributed import Client, LocalCluster
 
@@ -31,7 +34,7 @@ from fmsync.samplers.rlfm import RLFM
 from fmsync.threads import single_threaded_blas
 
 _TABLE = Path("results/speed.json")
-SIZES, N, DEGREE, SIGMA2, RUNS = (300, 1000, 3000, 10000), 20, 20, 0.1, 5
+KINDS, SIZES, N, DEGREE, SIGMA2, RUNS = ("float64", "float32"), (300, 1000, 3000, 10000), 20, 20, 0.1, 5
 _PLAIN = (
     "import time, numpy, scipy.linalg, scipy.sparse.csgraph, scipy.special; t = time.process_time(); import fmsync; "
 )
@@ -59,9 +62,15 @@ def paired(first: Callable[[], object], second: Callable[[], object], runs: int 
     return {"ours": ours, "reference": theirs, "ratio": ratio, "ratio_low": low, "ratio_high": high}
 
 
-def problem(n_nodes: int, noise: int = 2) -> fmsync.SyncProblem:
-    """Haar-random truth on a random graph of mean degree 20, observed with the paper's noise, which has a seed."""
-    graph = data_gen.random_graph(n_nodes, DEGREE / (n_nodes - 1), rng=0)
+def problem(n_nodes: int, noise: int = 2, ring: bool = False) -> fmsync.SyncProblem:
+    """Haar-random truth on a random graph of mean degree 20, observed with the paper's noise, which has a seed.
+
+    Or on a ``ring``, where neighbours lie side by side in memory.
+    """
+    if ring:
+        graph = nx.circulant_graph(n_nodes, range(1, DEGREE // 2 + 1))
+    else:
+        graph = data_gen.random_graph(n_nodes, DEGREE / (n_nodes - 1), rng=0)
     return data_gen.perturb(data_gen.planted(n_nodes, N, graph, rng=1), SIGMA2, noise)
 
 
@@ -101,8 +110,7 @@ def solves(p: fmsync.SyncProblem) -> dict[str, float]:
     finally:
         tracemalloc.stop(), sys.setprofile(None)
     large = np.median([seconds(lambda: square @ square) for _ in range(RUNS)])
-    low, middle, high = np.quantile(times, [0.25, 0.5, 0.75])
-    found = {"n_nodes": p.n_nodes, "n_edges": p.n_edges, "seconds": middle, "low": low, "high": high}
+    found = {"n_nodes": p.n_nodes, "n_edges": p.n_edges} | _quartiles(times)
     return found | {"limit": sum(done) * 2 * N**3 / 2e9 * large, "memory": memory}
 
 
@@ -127,16 +135,26 @@ def steps() -> dict[str, float]:
 
 
 def first_calls() -> dict[str, dict[str, float]]:
-    """CPU seconds of first calls in new processes, beyond NumPy and SciPy, with compiled kernels in their cache."""
+    """CPU seconds of first calls in new processes, beyond NumPy and SciPy; compiled before, and anew."""
     found = {}
     for name, call in _FIRST.items():
-        code, runs = f"{_PLAIN}{call}print(time.process_time() - t)", []
-        for _ in range(RUNS + 1):  # the first one fills the cache
-            line = [sys.executable, "-W", "ignore", "-c", code]
-            runs.append(float(subprocess.check_output(line, text=True)))
-        low, middle, high = np.quantile(runs[1:], [0.25, 0.5, 0.75])
-        found[name] = {"seconds": middle, "low": low, "high": high}
-    return found
+        line = [sys.executable, "-W", "ignore", "-c", f"{_PLAIN}{call}print(time.process_time() - t)"]
+        with tempfile.TemporaryDirectory() as kept:
+            runs = [_printed(line, kept) for _ in range(RUNS + 1)]  # the first one fills the cache
+        found[name] = _quartiles(runs[1:])
+    compiled = []
+    for _ in range(RUNS):
+        with tempfile.TemporaryDirectory() as empty:
+            compiled.append(_printed(line, empty))
+    return found | {f"{name}, compiled anew": _quartiles(compiled)}
+
+
+def _printed(line: list[str], cache: str) -> float:
+    return float(subprocess.check_output(line, text=True, env={**os.environ, "NUMBA_CACHE_DIR": cache}))
+
+
+def _quartiles(seconds: Sequence[float]) -> dict[str, float]:
+    return dict(zip(("low", "seconds", "high"), np.quantile(seconds, [0.25, 0.5, 0.75]).tolist()))
 
 
 def large(n_nodes: int = 100_000) -> dict[str, float]:
@@ -146,7 +164,7 @@ def large(n_nodes: int = 100_000) -> dict[str, float]:
     with single_threaded_blas():
         taken = seconds(lambda: fmsync.solve(p))
     sizes = {"n_nodes": n_nodes, "n_edges": p.n_edges, "maps": p.maps.nbytes / 1e9}
-    return sizes | {"seconds": taken, "peak": peak_memory() / 1e3, "versions": versions()}
+    return sizes | {"seconds": taken, "peak": peak_memory() * 2**20 / 1e9, "versions": versions()}
 
 
 def solved(p: fmsync.SyncProblem, seed: int) -> float:
@@ -183,10 +201,7 @@ def workers(tasks: int) -> dict[str, dict[str, dict[str, float]]]:
                     way()
                     marks.append(time.perf_counter())
                 taken.append(np.diff(marks))
-            quartiles = np.quantile(taken[1:], [0.25, 0.5, 0.75], axis=0).T
-            found[what] = {
-                way: dict(zip(("low", "seconds", "high"), row.tolist())) for way, row in zip(ways, quartiles)
-            }
+            found[what] = {way: _quartiles(times) for way, times in zip(ways, np.transpose(taken[1:]))}
     return found
 
 
@@ -212,7 +227,8 @@ def main() -> None:
     turns = so.exp(2 * so.skew(0.07 * np.random.default_rng(0).standard_normal((1000, N, N))))
     with single_threaded_blas():
         found = {
-            "sums": {kind: neighbour_sums(problem(3000), np.dtype(kind)) for kind in ("float64", "float32")},
+            "sums": {kind: neighbour_sums(problem(3000), np.dtype(kind)) for kind in KINDS},
+            "on a ring": {kind: neighbour_sums(problem(3000, ring=True), np.dtype(kind)) for kind in KINDS},
             "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
             "warm": warm(middle, problem(1000, noise=3)),
             "steps": steps(),
