@@ -35,7 +35,7 @@ _INK = "#3b4652"
 _CAPTIONS = (
     "1  Maps between pairs\ncontradict each other",
     "2  Synchronised,\nthey agree",
-    "3  Draws of the posterior:\nwhere can it be trusted?",
+    "3  Draws of the posterior:\nwhere does noise leave doubt?",
 )
 
 
