@@ -1,4 +1,4 @@
-"""The command line: ``fmsync sync``, ``solve``, ``sample`` and ``info``."""
+"""The command line: ``fmsync sync``, ``transfer``, ``solve``, ``sample`` and ``info``."""
 
 import argparse
 import importlib

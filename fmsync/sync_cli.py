@@ -1,4 +1,4 @@
-"""``fmsync sync``: from mesh files to consistent correspondences with a confidence on every vertex."""
+"""``fmsync sync``, from mesh files to correspondences with a confidence on every vertex, and ``fmsync transfer``."""
 
 import argparse
 import itertools

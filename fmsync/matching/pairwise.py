@@ -32,7 +32,7 @@ _ORIENTED = 0.05  # what full agreement in orientation is worth, in units of geo
 
 @dataclass(frozen=True, eq=False)
 class PairMatch:
-    """A functional map ``c_ij`` (m, m) from descriptors alone, and how good it looks without the truth.
+    """A functional map ``c_ij`` (m, m) of a pair, and how good it looks without the truth.
 
     ``distortion`` is the mean absolute change of geodesic distances between samples, in square roots of the area;
     ``orientation`` the correlation in [-1, 1] with a map that keeps it, 0 for point clouds; ``mirrored_distortion``

@@ -74,7 +74,8 @@ class SyncedShapes:
     @property
     def edge_names(self) -> list[str]:
         """What messages call the edges: names of given maps, or of two shapes."""
-        return list(self.map_names) or [f"{self.names[i]}–{self.names[j]}" for i, j in self.edges]
+        names = self.names
+        return list(self.map_names) or [f"{names[i]}–{names[j]}" for i, j in self.edges]
 
     @property
     def observed(self) -> dict[tuple[int, int], np.ndarray]:
