@@ -103,7 +103,7 @@ def variant_name(n_nodes: int, two_way: bool, around: str) -> str:
 def scoreboard(frame: pd.DataFrame) -> pd.DataFrame:
     """One row for every method and kind of problem of a suite, best error first within a problem.
 
-    Columns: problem, label, error (mean over seeds), low, high, rms, seconds, cpu and memory (medians, MB), failed
+    Columns: problem, label, error (mean over seeds), low, high, rms, seconds, cpu and memory (medians, MiB), failed
     (runs without an answer); floor (small-error bound) and expected, root mean squares, where theory knows them, and
     bound_valid as in :func:`table1`.
     """

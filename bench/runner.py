@@ -186,7 +186,7 @@ def execute(run: Run, commit: str = "unknown", replica: int = 0) -> dict:
     Replica 0 belongs into a table. Replica k >= 1 shows how much the answer varies: a sampler draws other random
     numbers; any other method keeps them and gets observed maps, and bases, whose entries are moved by about 1e-13, as
     if computed in another arithmetic. Returns plain JSON values, see :func:`record_of`: ``status`` "ok", "memory" or
-    "error" (with ``traceback``), ``metrics`` as rows (name, at, value), among them seconds, CPU seconds and MB.
+    "error" (with ``traceback``), ``metrics`` as rows (name, at, value), among them seconds, CPU seconds and MiB.
     """
     outcome: dict = {"status": "ok"}
     began = time.perf_counter()
@@ -224,7 +224,7 @@ def record_of(run: Run, commit: str, **outcome: object) -> dict:
 
 @contextlib.contextmanager
 def process_limits(run: Run) -> Iterator[None]:
-    """End this process after the seconds of a run; let no allocation take more than its MB."""
+    """End this process after the seconds of a run; let no allocation take more than its MiB."""
     before = soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     with contextlib.suppress(OSError):  # systems without /proc do not say how large a process is
         size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()

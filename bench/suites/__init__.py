@@ -31,7 +31,7 @@ class Run:
     method: str
     options: Mapping[str, object] = field(default_factory=dict)
     seconds: float = 60.0  # limits: of the method alone,
-    memory: float = 2000.0  # in MB above what the process holds before it
+    memory: float = 2000.0  # in MiB above what the process holds before it
     file: str | None = None  # that registers the method, when it is not part of the package
 
     @cached_property

@@ -65,6 +65,10 @@ def test_polar_factors_are_the_nearest_rotations():
     np.testing.assert_allclose(found @ so.transpose(found), np.tile(np.eye(3), (200, 1, 1)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(found), 1, atol=1e-9)
     np.testing.assert_allclose(found[2:], so.project(a[2:]), atol=1e-6)
+    turns = so.random_uniform(3, 4, rng=0)
+    for singular in ([1, 1e-3, 1.1e-3], [1, 1, 3e-6], [1, 1e-2, 2e-4]):  # nearly flat ones, to the last bits as well
+        steep = turns[:2] @ np.diag(singular) @ turns[2:]
+        np.testing.assert_allclose(rigid._polar_factors(steep), turns[:2] @ turns[2:], atol=1e-11)
 
 
 def off(shape, rng):
