@@ -141,7 +141,7 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     # Centre and scale first: a scan in millimetres, far from its origin, must not lose digits.
     vertices = vertices - vertices.mean(axis=0)
     vertices /= np.abs(vertices).max() or 1.0
-    stiffness, mass = laplacian(vertices, faces)
+    stiffness, mass = _laplacian(vertices, faces)
     n_components, label = connected_components(stiffness, directed=False)
     if n_components > 1:
         apart = f"vertex {np.argmax(label != label[0])} is not connected to vertex 0"
@@ -165,8 +165,7 @@ def laplace_beltrami(vertices: np.ndarray, faces: np.ndarray | None, n_basis: in
     return Basis(eigenvalues, eigenfunctions, mass)
 
 
-@checks.checked(vertices="V 3", faces="F 3 < V")
-def laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.csr_array, np.ndarray]:
+def _laplacian(vertices: np.ndarray, faces: np.ndarray | None) -> tuple[sparse.csr_array, np.ndarray]:
     """Stiffness (V, V), positive semi-definite, and lumped mass (V,)."""
     if faces is not None:
         edges = edges_of_faces(faces)

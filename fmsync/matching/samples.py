@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import potpourri3d as pp3d
+import robust_laplacian
 from scipy.spatial import cKDTree
 
 from fmsync import checks
 from fmsync.descriptors import heat_kernel, heat_kernel_signature, wave_kernel_signature
 from fmsync.extras import require
 from fmsync.mesh_repair import filled
-from fmsync.shape import Basis, Shape, laplace_beltrami, laplacian, vertex_normals
+from fmsync.shape import Basis, Shape, laplace_beltrami, vertex_normals
 
 _HOLE = 1.0  # longest rim of a hole that is closed, in square roots of the area: of a disc of 8 % of it
 _COARSE = 3000  # vertices of the mesh on which geodesic distances are computed
@@ -76,7 +77,11 @@ def sample_shape(
     closed = shape
     if shape.faces is not None and fill:
         closed = Shape(shape.vertices, filled(shape.vertices, shape.faces, _HOLE * np.sqrt(shape.area)))
-    area = laplacian(shape.vertices, None)[1].sum() if shape.faces is None else closed.area
+    if shape.faces is None:
+        neighbours = min(30, shape.n_vertices - 1)
+        area = robust_laplacian.point_cloud_laplacian(shape.vertices, n_neighbors=neighbours)[1].sum()
+    else:
+        area = closed.area
     shape = Shape(shape.vertices / np.sqrt(area), shape.faces, shape.name)
     closed = Shape(shape.vertices, closed.faces)
     try:
