@@ -32,6 +32,7 @@ from bench.provenance import current_commit, machine, versions
 from bench.suites import Run, generator_function
 from data_gen.cache import arithmetic
 from fmsync.extras import require
+from fmsync.memory import give_back
 from fmsync.problem import SyncProblem
 from fmsync.threads import single_threaded_blas
 
@@ -272,6 +273,7 @@ def peak_memory(*, forget: bool = False) -> float:
     """Largest size of this process in MiB, where the system allows it after forgetting what was before."""
     with contextlib.suppress(OSError):
         if forget:
+            give_back()  # what compiling left free would take in what comes
             Path("/proc/self/clear_refs").write_text("5")
         if match := re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text()):
             return int(match[1]) / 1024
