@@ -1,7 +1,8 @@
 """Errors, regions and warnings of the pipeline and its peers against the truth, on species that nothing was chosen on.
 
-Four poses of each species in four variants: with one triangulation; triangulated anew; these with noise along the
-normals, of a fifth of the mean edge; and these without three geodesic discs, a twentieth of the area.
+Four poses of each species in five variants: with one triangulation; triangulated anew; these with noise along the
+normals, of a fifth of the mean edge; these without three geodesic discs, a twentieth of the area; and these stretched:
+swollen and sunken smoothly, each pose elsewhere.
 """
 
 import itertools
@@ -26,13 +27,14 @@ from fmsync.matching.network import inlier_weights
 from fmsync.matching.pairwise import FINE, match
 from fmsync.matching.report import quality_flags
 from fmsync.matching.synchronize import synchronize_matches
-from fmsync.shape import edges_of_faces, triangle_areas, vertex_normals
+from fmsync.shape import edges_of_faces, laplace_beltrami, triangle_areas, vertex_normals
 from fmsync.threads import single_threaded_blas
 
 TEST = range(8)
-VARIANTS = ("one triangulation", "triangulated anew", "noise", "holes")
+VARIANTS = ("one triangulation", "triangulated anew", "noise", "holes", "stretched")
 _NOISE = 0.2  # standard deviation, in mean edges
 _HOLES, _CUT = 3, 0.05  # discs of each shape, and their share of its area
+_SWOLLEN, _WAVES = 0.01, 15  # root mean square height in √area, of so many eigenfunctions
 _WRONG = 0.08  # larger mean errors of maps and shapes are faults, in square roots of the area
 _HELD = 0.8  # and so is a smaller share of true images in regions of 90 %
 _FIT = {"K": 30, "w_descr": 1.0, "w_lap": 0.1, "w_dcomm": 1.0, "w_orient": 1.0}  # of the example in pyFM's readme
@@ -52,7 +54,7 @@ SAID = {  # what the report says, by kind, and of whom
 def varied(number: int, variant: str) -> list[Creature]:
     """Four poses of a species, of about two thousand vertices."""
     options = {"species": number, "count": 4, "n_vertices": 2000, "remeshed": variant != VARIANTS[0]}
-    change = {"noise": noisy, "holes": with_holes}.get(variant, lambda shape, rng: shape)
+    change = {"noise": noisy, "holes": with_holes, "stretched": stretched}.get(variant, lambda shape, rng: shape)
     rng = np.random.default_rng(number)
     return [change(shape, rng) for shape in load_collection("creatures", **options)]
 
@@ -62,6 +64,14 @@ def noisy(shape: Creature, rng: np.random.Generator) -> Creature:
     a, b = shape.vertices[edges_of_faces(shape.faces)].swapaxes(0, 1)
     height = _NOISE * np.linalg.norm(a - b, axis=1).mean() * rng.standard_normal((shape.n_vertices, 1))
     return replace(shape, vertices=shape.vertices + height * vertex_normals(shape.vertices, shape.faces))
+
+
+def stretched(shape: Creature, rng: np.random.Generator) -> Creature:
+    """Its skin moved along the normals by a smooth height, so that distances along it change."""
+    basis = laplace_beltrami(shape.vertices, shape.faces, 1 + _WAVES)
+    height = basis.eigenfunctions[:, 1:] @ (rng.standard_normal(_WAVES) / np.sqrt(basis.eigenvalues[1:]))
+    height *= _SWOLLEN * shape.area / np.sqrt(basis.mass @ height**2)
+    return replace(shape, vertices=shape.vertices + height[:, None] * vertex_normals(shape.vertices, shape.faces))
 
 
 def with_holes(shape: Creature, rng: np.random.Generator) -> Creature:

@@ -33,16 +33,25 @@ class Evaluation:
         true = vertices if images is None else images
         self.distances = [geodesics_from(s.shape, own) for s, own in zip(shapes, true)]
 
-    def errors(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
-        """(P,) distance on shape j from where the evaluation vertices of i are sent to where they belong.
+    def images(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
+        """(P,) vertices of j to which the evaluation vertices of i are sent.
 
         Vertices are matched by functions that both shapes share, to which ``first`` (M, m_i) and ``second`` (M, m_j)
         map their coefficients; without ``second`` by those of j, to which ``first`` = C_ij^T maps.
         """
         at_i = self.shapes[i].basis.eigenfunctions[self.vertices[i], : first.shape[1]] @ first.T
         at_j = self.shapes[j].basis.eigenfunctions[:, : len(first) if second is None else second.shape[1]]
-        nearest = nearest_rows(at_i, at_j if second is None else at_j @ second.T)
-        return self.distances[j][np.arange(len(at_i)), nearest]
+        return nearest_rows(at_i, at_j if second is None else at_j @ second.T)
+
+    def errors(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
+        """(P,) distance on shape j from the :meth:`images` of the evaluation vertices of i to where they belong."""
+        images = self.images(i, j, first, second)
+        return self.distances[j][np.arange(len(images)), images]
+
+    def change(self, i: int, j: int, images: np.ndarray) -> float:
+        """Mean absolute change of the distances between the evaluation vertices of i at their ``images`` (P,) on j."""
+        there = geodesics_from(self.shapes[j].shape, images)[:, images]
+        return float(np.abs(there - self.distances[i][:, self.vertices[i]]).mean())
 
     def mean(self, pairs: Sequence[tuple[int, int]], maps: Callable) -> float:
         """Mean error over pairs of the maps C_ij that ``maps(i, j)`` gives."""
@@ -127,7 +136,11 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
         errors[f"pipeline (refined together to {size})"] = float(np.mean(missed))
     if peers:
         pyfm_stages(synced, evaluation, matches, errors, seconds)
-    return {"mean_geodesic_error": errors, "cpu_seconds": seconds}
+    ours = [evaluation.change(i, j, evaluation.images(i, j, latent[i], latent[j])) for i, j in pairs]
+    true = [evaluation.change(i, j, evaluation.vertices[j]) for i, j in pairs]
+    change = {"pairs": len(pairs), "ours": np.mean(ours), "true maps": np.mean(true)}
+    change["pairs where ours is smaller"] = int(np.less(ours, true).sum())
+    return {"mean_geodesic_error": errors, "cpu_seconds": seconds, "change of distances": change}
 
 
 class Pyfm:

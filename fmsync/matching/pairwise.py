@@ -1,9 +1,10 @@
 r"""A functional map of two shapes from nothing but the shapes.
 
-Signs of the first eigenfunctions, turns of neighbours that a pose may mix, and a fit of descriptors give many rough
-maps; spectral upsampling (ZoomOut, Melzi et al. 2019) makes each of them precise or exposes it; samples of the best
-then move as rigidly as possible, if both shapes are meshes; and the one that keeps geodesic distances and orientation
-is the answer. Trying many signs is the idea of MapTree (Ren et al. 2020).
+Pairings of extremities (the ends of limbs, tail and head), signs of the first eigenfunctions, turns of neighbours that
+a pose may mix, and a fit of descriptors give many rough maps; spectral upsampling (ZoomOut, Melzi et al. 2019) makes
+each of them precise or exposes it; samples of the best then move as rigidly as possible, if both shapes are meshes; and
+the one that keeps geodesic distances and orientation is the answer. Trying many signs is the idea of MapTree (Ren et
+al. 2020).
 """
 
 import itertools
@@ -14,12 +15,13 @@ import numpy as np
 
 from fmsync import checks
 from fmsync.functional_maps import functional_map_from_descriptors, row_images
+from fmsync.matching.extremities import extremity_maps
 from fmsync.matching.rigid import RigidSamples, rigid_map, rigid_samples
 from fmsync.matching.samples import SampledShape
 from fmsync.shape import Basis
 from fmsync.threads import single_threaded_blas
 
-_SIGNS = 8  # first eigenfunctions; all but the constant one are tried with both signs: 128 maps
+_SIGNS = 6  # first eigenfunctions; all but the constant one are tried with both signs: 32 maps
 _MIXED = 0.25  # neighbours whose log-eigenvalues are nearer may be turned: a pose moves each by up to a third of that
 _SAMPLES = 80, 150, 300  # by which candidates are compared at the first, second and third choice,
 _SIZES = 9, 20, 50  # and the sizes to which they are upsampled before
@@ -71,8 +73,9 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         a, b = (Basis(s.basis.eigenvalues[:rough], np.eye(rough), np.ones(rough)) for s in (first, second))
         there, here = first.coefficients[:rough], second.coefficients[:rough]
         fit = functional_map_from_descriptors(a, b, there, here, commutativity=1e-2)[None]
-        turned, fitted = (zoomout(first, second, maps, rough, 2, _SAMPLES[1]) for maps in (starts, fit))
-        maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(turned, fitted)))
+        paired = extremity_maps(first, second, rough, _SAMPLES[0])
+        tried = [zoomout(first, second, maps, rough, 2, _SAMPLES[1]) for maps in (starts, fit, paired)]
+        maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(*tried)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])
         scores = np.array(map_scores(first, second, maps, images))  # (3, R)
         unmoved, mirrored = scores[0, np.argmin(_costs(*scores))], scores[0, scores[1] < 0].min(initial=np.inf)

@@ -33,7 +33,7 @@ from fmsync.samplers import Posterior
 from fmsync.shape import Basis, Shape
 from fmsync.threads import single_threaded_blas
 
-_RECIPE = 2  # of a pair's map: another number makes finished pairs anew
+_RECIPE = 3  # of a pair's map: another number makes finished pairs anew
 _ROUNDS = 2  # of proposing synchronised maps to the pairs
 _COMPOSED = 3  # two-hop compositions that are tried as well
 _DRAWS_SHOWN = 100  # draws that carry vertices

@@ -264,6 +264,6 @@ def test_the_suite_names_what_was_refused_and_sums_warnings(monkeypatch, tmp_pat
     assert ours["species of the largest"] == 3
     assert found["errors"]["noise"]["ours"]["median ratio to the bound"] == pytest.approx(2)
     assert found["regions"]["noise"]["all"] == {"mean": pytest.approx(0.9), "se": pytest.approx(0, abs=1e-9)}
-    assert found["warnings"]["given up: wrong"] == {"with the fault": [15, 30], "without": [21, 60]}
-    assert len(found["runs"]) == 15
+    assert found["warnings"]["given up: wrong"] == {"with the fault": [19, 38], "without": [27, 76]}
+    assert len(found["runs"]) == 19
     json.dumps(found)
