@@ -70,7 +70,7 @@ def stretched(shape: Creature, rng: np.random.Generator) -> Creature:
     """Its skin moved along the normals by a smooth height, so that distances along it change."""
     basis = laplace_beltrami(shape.vertices, shape.faces, 1 + _WAVES)
     height = basis.eigenfunctions[:, 1:] @ (rng.standard_normal(_WAVES) / np.sqrt(basis.eigenvalues[1:]))
-    height *= _SWOLLEN * shape.area / np.sqrt(basis.mass @ height**2)
+    height *= _SWOLLEN * np.sqrt(shape.area / (basis.mass @ height**2))
     return replace(shape, vertices=shape.vertices + height[:, None] * vertex_normals(shape.vertices, shape.faces))
 
 

@@ -49,7 +49,10 @@ class Evaluation:
         return self.distances[j][np.arange(len(images)), images]
 
     def change(self, i: int, j: int, images: np.ndarray) -> float:
-        """Mean absolute change of the distances between the evaluation vertices of i at their ``images`` (P,) on j."""
+        """Mean absolute change of the distances between the evaluation vertices of i at their ``images`` (P,) on j.
+
+        Only if the vertices belong at those of the other shapes: then distances are from the vertices.
+        """
         there = geodesics_from(self.shapes[j].shape, images)[:, images]
         return float(np.abs(there - self.distances[i][:, self.vertices[i]]).mean())
 
@@ -140,7 +143,7 @@ def stages(synced: SyncedShapes, evaluation: Evaluation, peers: bool = False) ->
     true = [evaluation.change(i, j, evaluation.vertices[j]) for i, j in pairs]
     change = {"pairs": len(pairs), "ours": np.mean(ours), "true maps": np.mean(true)}
     change["pairs where ours is smaller"] = int(np.less(ours, true).sum())
-    return {"mean_geodesic_error": errors, "cpu_seconds": seconds, "change of distances": change}
+    return {"mean_geodesic_error": errors, "cpu_seconds": seconds, "mean_change_of_distances": change}
 
 
 class Pyfm:

@@ -1,7 +1,8 @@
-"""Rough maps of a pair from the ends of limbs, tails and heads.
+"""Rough maps of a pair from its extremities: the ends of limbs, tails and heads.
 
-A pose that stretches the skin mixes eigenfunctions, and then no choice of signs gives a map to start from. But the
-ends of a body stay its ends, and the distances between them change little.
+A pose that stretches the skin mixes eigenfunctions, so that often no choice of signs gives a map to start from. But the
+ends of a body stay its ends, and distances between them change little. They are the local maxima of the average
+geodesic distance (Hilaga et al. 2001), and are paired by their distances (as in Au et al. 2010).
 """
 
 import itertools
@@ -11,8 +12,10 @@ import numpy as np
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.matching.samples import SampledShape
 
-_AROUND = 0.15  # an extremity is farther from the rest than all that is nearer to it than this, in √area
-_MOST, _PAIRED, _CANDIDATES = 8, 5, 128  # extremities of a shape; of them in a pairing; pairings
+_AROUND = 0.15  # radius in which the average distance of an extremity is the largest, in √area
+# Extremities of a shape, of them in a pairing, and pairings. Of pairs of twenty stretched development species 3 % were
+# wrong with these, 6 % with four in a pairing, 3 % with six, and 4 % with 256 pairings.
+_MOST, _PAIRED, _CANDIDATES = 8, 5, 128
 
 
 def extremities(shape: SampledShape) -> np.ndarray:
@@ -25,15 +28,19 @@ def extremities(shape: SampledShape) -> np.ndarray:
     6
     """
     far = shape.geodesics.mean(axis=1)
-    found = np.flatnonzero(far >= np.where(shape.geodesics < _AROUND, far, 0).max(axis=1))
-    return found[np.argsort(-far[found], kind="stable")[:_MOST]]
+    near = shape.geodesics < _AROUND
+    tops, found = np.flatnonzero(far >= np.where(near, far, 0).max(axis=1)), []
+    for p in tops[np.argsort(-far[tops], kind="stable")]:
+        if not near[p, found].any():  # samples in one place have one distance
+            found.append(p)
+    return np.array(found[:_MOST])
 
 
 def extremity_maps(first: SampledShape, second: SampledShape, size: int, n_samples: int) -> np.ndarray:
-    """Candidates (R, size, size), R <= 128, for the map C_ij: five extremities of i go to five of j.
+    """Candidates (R, size, size), R <= 128, for the map C_ij: five extremities of i, or fewer, go to as many of j.
 
-    Of all ways to choose and to order them those that change the distances between them least. The first ``n_samples``
-    samples of i are matched to all of j by their distances from the five.
+    Of all pairings those are kept that change the distances between the extremities least. The first ``n_samples``
+    samples of i then go to the samples of j whose distances to the paired extremities are most alike.
     """
     a, b = extremities(first), extremities(second)
     count = min(_PAIRED, len(a), len(b))

@@ -73,7 +73,7 @@ def match(first: SampledShape, second: SampledShape) -> PairMatch:
         a, b = (Basis(s.basis.eigenvalues[:rough], np.eye(rough), np.ones(rough)) for s in (first, second))
         there, here = first.coefficients[:rough], second.coefficients[:rough]
         fit = functional_map_from_descriptors(a, b, there, here, commutativity=1e-2)[None]
-        paired = extremity_maps(first, second, rough, _SAMPLES[0])
+        paired = extremity_maps(first, second, rough, _SAMPLES[0])  # of fewer functions they find less
         tried = [zoomout(first, second, maps, rough, 2, _SAMPLES[1]) for maps in (starts, fit, paired)]
         maps = survivors(_SURVIVORS[1], *(np.concatenate(part) for part in zip(*tried)))
         maps, images = zoomout(first, second, maps, fine, 6, _SAMPLES[2])

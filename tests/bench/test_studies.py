@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -115,6 +116,10 @@ def test_stages_have_errors_and_seconds(observed):
     assert errors["pipeline (refined together to 30)"] < errors["pairwise (with its own ZoomOut)"] + 0.02
     assert set(found["cpu_seconds"]) >= {"synchronised maps proposed to the pairs", "refined together to 30"}
     assert "pyFM Consistent ZoomOut to 30 from our pairwise maps" in errors
+    change = found["mean_change_of_distances"]
+    assert 0 < change["true maps"] < 0.1 > change["ours"] > 0
+    own = observed.evaluation.vertices[0]
+    assert observed.evaluation.change(0, 0, own) == pytest.approx(0, abs=1e-9)
 
 
 def test_copies_have_vertices_of_their_own(cats):
@@ -217,6 +222,14 @@ def test_errors_are_measured_where_all_shapes_have_the_point_and_its_opposite(cr
     own, other = matching.evaluated(creatures)  # without holes, to look points up
     for shape, here, there in zip(creatures, own, other):
         np.testing.assert_array_equal(there, shape.located[shape.opposite[here]])
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_a_stretched_skin_moves_by_a_hundredth_of_the_root_of_the_area(creatures, scale):
+    whole = replace(creatures[0], vertices=scale * creatures[0].vertices)
+    away = matching.stretched(whole, np.random.default_rng(0)).vertices - whole.vertices
+    share = fmsync.laplace_beltrami(whole.vertices, whole.faces, 2).mass
+    assert np.sqrt(share @ (away**2).sum(axis=1) / whole.area) == pytest.approx(0.01)
 
 
 def test_noise_is_a_fifth_of_an_edge_along_the_normals(creatures):

@@ -1,7 +1,5 @@
 """The map of one pair: candidates beyond signs, and samples that move rigidly."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from bench.own_shapes.matching import evaluated, varied
 from bench.own_shapes.stages import Evaluation
 from data_gen import load_collection
 from fmsync.functional_maps import row_images
-from fmsync.matching.extremities import extremities, extremity_maps
 from fmsync.matching.pairwise import match, moved, zoomout
 from fmsync.matching.rigid import rigid_samples
 from fmsync.matching.samples import sample_shape
@@ -60,34 +57,6 @@ def test_a_copy_of_a_mesh_is_not_called_mirrored(cats):
     found = match(first, second)
     assert found.distortion < 1e-9
     assert found.mirrored_distortion > 1e-3
-
-
-def test_extremities_are_paired_as_distances_say(cats):
-    """The obvious way: score every pairing of five, keep the best ones, and match samples by distances one by one."""
-    first, second = (sample_shape(cat, 20, 150) for cat in cats[:2])
-    a, b, size, few = extremities(first), extremities(second), 12, 60
-    far = second.geodesics.mean(axis=1)
-    tops = [p for p, row in enumerate(second.geodesics) if all(far[p] >= far[q] for q in np.flatnonzero(row < 0.15))]
-    assert set(b) <= set(tops)
-    assert len(b) == min(8, len(tops)) >= 5
-    pairings = [
-        (
-            sum(
-                abs(first.geodesics[p, q] - second.geodesics[x, y])
-                for (p, x), (q, y) in itertools.combinations(pairs, 2)
-            ),
-            pairs,
-        )
-        for own in itertools.combinations(a, 5)
-        for pairs in (list(zip(own, images)) for images in itertools.permutations(b, 5))
-    ]
-    maps = []
-    for _, pairs in sorted(pairings)[:3]:
-        own, images = zip(*pairs)
-        apart = ((first.geodesics[:few, None, own] - second.geodesics[None, :, images]) ** 2).sum(axis=-1)
-        rows = second.sampled()[apart.argmin(axis=1), :size]
-        maps.append(np.linalg.lstsq(first.sampled(few)[:, :size], rows)[0])
-    np.testing.assert_allclose(extremity_maps(first, second, size, few)[:3], maps, atol=1e-8)
 
 
 @pytest.mark.parametrize("species", [1010, 1012, 1014])
