@@ -59,8 +59,9 @@ def test_a_copy_of_a_mesh_is_not_called_mirrored(cats):
     assert found.mirrored_distortion > 1e-3
 
 
-@pytest.mark.parametrize("species", [1010, 1012, 1014])
+@pytest.mark.parametrize("species", [1011, 1019, 1020])
 def test_a_stretched_skin_does_not_hide_the_map(species):
+    """Without extremities these maps miss by .14 to .35, with them by .02 to .04."""
     shapes = varied(species, "stretched")[:2]
     first, second = (sample_shape(s, 50, 400) for s in shapes)
     vertices, _ = evaluated(shapes)
