@@ -29,9 +29,10 @@ def extremities(shape: SampledShape) -> np.ndarray:
     """
     far = shape.geodesics.mean(axis=1)
     near = shape.geodesics < _AROUND
-    tops, found = np.flatnonzero(far >= np.where(near, far, 0).max(axis=1)), []
-    for p in tops[np.argsort(-far[tops], kind="stable")]:
-        if not near[p, found].any():  # samples in one place have one distance
+    tops = np.flatnonzero(far >= np.where(near, far, 0).max(axis=1))
+    found: list[int] = []
+    for p in tops[np.argsort(-far[tops], kind="stable")].tolist():
+        if not near[p][found].any():  # samples in one place have one distance
             found.append(p)
     return np.array(found[:_MOST])
 
