@@ -16,8 +16,8 @@ from fmsync.matching.pairwise import FINE, PairMatch
 from fmsync.matching.samples import SampledShape
 
 _LOWEST = 20  # eigenvalues: of the higher ones those of all surfaces of one area are alike (Weyl's law)
-# What poses of one surface may differ by, on average over a group. Of both, development species alone reach .062, and
-# an outlier joins them at .072.
+# What poses of one surface may differ by, on average over a group. The second is half-way, on development folders,
+# between the largest that joins poses of a species and the smallest that joins an outlier to them.
 SPECTRUM, BOTH = 0.2, 0.067
 _HOPELESS = 2.5  # spectra so many times as far from the rest are refused
 

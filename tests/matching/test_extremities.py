@@ -47,8 +47,8 @@ def test_extremities_are_paired_as_distances_say(cats):
 
 def test_shapes_with_few_or_no_extremities_give_few_candidates(cats):
     corners = np.vstack([np.eye(3), -np.eye(3)])
-    golden = np.random.default_rng(0).standard_normal((600, 3))
-    ball = Shape(np.vstack([corners, golden / np.linalg.norm(golden, axis=1, keepdims=True)]), None, "ball")
+    others = np.random.default_rng(0).standard_normal((600, 3))
+    ball = Shape(np.vstack([corners, others / np.linalg.norm(others, axis=1, keepdims=True)]), None, "ball")
     ball, cat = sample_shape(ball, 20, 100), sample_shape(cats[0], 20, 100)
     for first, second in ((ball, cat), (cat, ball), (ball, ball)):
         maps = extremity_maps(first, second, 12, 80)

@@ -61,7 +61,7 @@ def test_a_copy_of_a_mesh_is_not_called_mirrored(cats):
 
 @pytest.mark.parametrize("species", [1011, 1019, 1020])
 def test_a_stretched_skin_does_not_hide_the_map(species):
-    """Without extremities these maps miss by .14 to .35, with them by .02 to .04."""
+    """Signs of eigenfunctions alone give wrong maps here."""
     shapes = varied(species, "stretched")[:2]
     first, second = (sample_shape(s, 50, 400) for s in shapes)
     vertices, _ = evaluated(shapes)

@@ -84,18 +84,15 @@ def test_a_vertex_of_the_report_says_where_it_goes(report, written, size, theme)
     for view in ("posterior", "calibrated"):
         report.locator("label", has_text=view).click()
         assert _ready(report)["view"] == view
-        seen = [_blue(report, 1)]  # the region, small on a phone, and on any side of the body
-        for _ in range(8):
-            drag(report, canvases.nth(1))
-            _ready(report)
-            seen.append(_blue(report, 1))
-        if view == "calibrated":  # that of the draws can be a single vertex
-            assert max(seen) > 40, seen  # without a region there are fewer than 20
-        said = words.inner_text().split("region ")[1].removeprefix("below ")
-        radii.append(float(said.split()[0].removesuffix(".")))
+        radii.append(words.inner_text().split("region ")[1])
+    assert _blue(report, 1) > 40  # the region, small on a phone; without one there are fewer than 20
     table = np.genfromtxt(written.folder / "point_maps" / "cat1_to_cat0.csv", delimiter=",", names=True)
     row = table[int(moved["vertex"])]
-    np.testing.assert_allclose(radii, [row["radius"], row["region"]], atol=0.011)
+    for said, radius in zip(radii, (row["radius"], row["region"])):
+        if said.startswith("below"):  # the draws can agree on one vertex
+            assert radius < float(said.split()[1].removesuffix("."))
+        else:
+            assert float(said.split()[0].removesuffix(".")) == pytest.approx(radius, abs=0.006)
     report.locator("label", has_text="observed").click()
     assert "one image on cat0" in words.inner_text()
     assert _blue(report, 1) < 20
