@@ -17,7 +17,8 @@ from fmsync.matching.rigid import rigid_map
 from fmsync.matching.samples import SampledShape, sample_shape
 from fmsync.problem import SyncProblem
 from fmsync.samplers import Posterior
-from fmsync.samplers.plane_rotations import rounds, sweep
+from fmsync.samplers.heat_bath import advance
+from fmsync.samplers.plane_rotations import rounds
 from fmsync.samplers.random_streams import generators
 from fmsync.shape import Shape
 from fmsync.threads import single_threaded_blas
@@ -112,11 +113,14 @@ def _with_draws(posterior: Posterior, edges: np.ndarray, maps: np.ndarray, rng: 
     force = sum(posterior.absolute[:, :, k] @ c for k, c in zip(edges[:, 0], maps)).reshape(-1, n, n)
     # transposed maps of two nodes: an identity that is not visited, and the new map from its mode on
     x = np.stack([np.broadcast_to(np.eye(n), force.shape), so.transpose(so.project(force))], axis=1)
-    blocks = np.stack([np.zeros(force.shape), so.transpose(force)], axis=1).reshape(len(force), -1)
-    fixed = np.arange(3), np.array([1, 0]), np.empty((0, n, n)), posterior.kappa.ravel(), 1, rounds(n), np.array([1])
-    states, gains = generators(rng, len(force), 2), np.empty((len(force), 2))
+    observed, weights, incidence = force[:, None], np.ones((1, 1)), SyncProblem(2, [[0, 1]], np.eye(n)[None]).incidence
+    for a in (observed, weights):
+        a.setflags(write=False)
+    streams, ones, traces = generators(rng, len(x), 2), np.ones(len(x)), np.zeros(len(x))
+    fixed = observed, weights, incidence, np.empty((0, n, n)), rounds(n), np.array([1]), streams, np.zeros((len(x), 2))
+    kept = x[:, None].copy(), traces[:, None].copy(), traces[:, None].copy()
     for _ in range(_SWEEPS):
-        sweep(x, blocks, *fixed, states, gains)
+        advance(x, *fixed, traces, posterior.kappa.ravel(), ones, False, 0.0, np.empty((2, 0)), streams[:, 0], kept)
     drawn = so.transpose(x[:, 1])
     return replace(
         posterior,

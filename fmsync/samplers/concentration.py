@@ -26,7 +26,6 @@ from scipy.special import gammainc, gammaln
 from fmsync import langevin, so
 from fmsync.problem import SyncProblem
 from fmsync.samplers.base import Target
-from fmsync.samplers.plane_rotations import node_blocks
 from fmsync.samplers.random_streams import uniform
 
 LARGEST_KAPPA = 1e5
@@ -104,14 +103,17 @@ def draw_kappa(
 
 
 class Concentration:
-    """κ of every chain: a number that stays, or inferred with the maps where the target gives none."""
+    """κ of every chain: a number that stays, or inferred with the maps where the target gives none.
+
+    ``value`` (K,) are the present ones, ``count`` is E, ``table`` that of the normaliser, empty if κ stays.
+    """
 
     def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
         self.inferred = not isinstance(target.kappa, float)
         value = target.matched_kappa("kappa", rng) if self.inferred else target.fixed_kappa()
         self.value = np.full(n_chains, value)
-        self._n, self._count = target.problem.n, float(target.problem.weights.sum())
-        self._table = normaliser_table(self._n) if self.inferred else np.empty((2, 0))
+        self._n, self.count = target.problem.n, float(target.problem.weights.sum())
+        self.table = normaliser_table(self._n) if self.inferred else np.empty((2, 0))
 
     def update(
         self, traces: np.ndarray, states: np.ndarray, powers: np.ndarray, counts: np.ndarray | None = None
@@ -120,15 +122,15 @@ class Concentration:
 
         ``counts`` (K,) are E where it is not that of all observations.
         """
-        counts = np.full(len(traces), self._count) if counts is None else np.maximum(counts, 1e-9)  # of none: the prior
+        counts = np.full(len(traces), self.count) if counts is None else np.maximum(counts, 1e-9)  # of none: the prior
         for k, (trace, count, b) in enumerate(zip(traces, counts, powers)):
-            self.value[k] = draw_kappa(self.value[k], b * trace, b * count, 0.0, self._n, self._table, states[k])
+            self.value[k] = draw_kappa(self.value[k], b * trace, b * count, 0.0, self._n, self.table, states[k])
 
     def log_likelihood(self, traces: np.ndarray) -> np.ndarray:
         """(K,) κ T, and where κ is inferred - E log c_n(κ)."""
         if not self.inferred:
             return self.value * traces
-        return self.value * traces - self._count * self.log_normaliser()
+        return self.value * traces - self.count * self.log_normaliser()
 
     @cached_property
     def _fixed(self) -> np.ndarray:
@@ -138,7 +140,7 @@ class Concentration:
         """(K,) log c_n(κ)."""
         if not self.inferred:
             return self._fixed
-        return np.array([interpolated_log_normaliser(kappa, self._table) for kappa in self.value])
+        return np.array([interpolated_log_normaliser(kappa, self.table) for kappa in self.value])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -174,9 +176,10 @@ def draw_by_edge(
 
 
 class EdgeConcentrations:
-    """A concentration of every observation, ``kappas`` (K, E), and the blocks (K, 2E n²) that map sweeps read.
+    """A concentration of every observation, ``kappas`` (K, E); map sweeps read ``maps`` (1, E, n, n) and ``weights``.
 
-    ``kappa`` (K,) are the means over the observations, ``prior`` what :func:`draw_by_edge` takes.
+    ``kappa`` (K,) are the means over the observations, by which the weights (K, E) are divided, and ``prior`` is what
+    :func:`draw_by_edge` takes.
     """
 
     inferred = True
@@ -192,14 +195,14 @@ class EdgeConcentrations:
         a, m = SHAPES[:, None], MEANS
         self.prior = SHAPES, MEANS, a * np.log(a / m) - gammaln(a) - np.log(gammainc(a, a * LARGEST_KAPPA / m))
         self._table = normaliser_table(p.n)
-        self.blocks = np.empty((n_chains, 2 * p.n_edges * p.n**2))
+        self.maps, self.weights = p.maps[None], np.empty((n_chains, p.n_edges))
 
     @property
     def kappa(self) -> np.ndarray:
         return self.kappas.mean(axis=1)
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
-        """With ``infer`` new concentrations given the transposed maps x (K, N, n, n); then the blocks.
+        """With ``infer`` new concentrations given the transposed maps x (K, N, n, n); then the weights.
 
         ``powers`` (K,) multiply the log-likelihood.
         """
@@ -207,7 +210,7 @@ class EdgeConcentrations:
         for k, (seen, b) in enumerate(zip(traces(p, x), powers)):
             if infer:
                 draw_by_edge(self.kappas[k], self._level[k], seen, b, p.n, self._table, self.prior, states[k])
-            node_blocks(p.maps, self.kappas[k] / self.kappas[k].mean(), p.incidence, self.blocks[k])
+        self.weights[:] = self.kappas / self.kappa[:, None]
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) at transposed maps x (K, N, n, n)."""
@@ -243,14 +246,22 @@ def draw_by_frequency(own: np.ndarray, traces: np.ndarray, count: float, table: 
 
 
 class FrequencyConcentrations(EdgeConcentrations):
-    """A concentration of every basis function, ``kappas`` (K, n), of which ``kappa`` (K,) are the means."""
+    """A concentration of every basis function, ``kappas`` (K, n), of which ``kappa`` (K,) are the means.
+
+    Map sweeps read ``maps`` (K, E, n, n): columns of the observations, each times its concentration over the mean.
+    """
+
+    def __init__(self, target: Target, n_chains: int, rng: np.random.Generator):
+        super().__init__(target, n_chains, rng)
+        p = target.problem
+        self.maps, self.weights = np.empty((n_chains, *p.maps.shape)), p.weights[None]
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
         p = self._problem
-        for own, seen, b, state, blocks in zip(self.kappas, self._traces(x), powers, states, self.blocks):
+        for own, seen, b, state, maps in zip(self.kappas, self._traces(x), powers, states, self.maps):
             if infer:
                 draw_by_frequency(own, b * seen, b * p.n_edges, self._table, state)
-            node_blocks(p.maps * (own / own.mean()), p.weights, p.incidence, blocks)
+            np.multiply(p.maps, own / own.mean(), out=maps)
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         normalisers = np.array([log_normaliser_by_frequency(own, self._table) for own in self.kappas])

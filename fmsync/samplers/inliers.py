@@ -21,7 +21,7 @@ from scipy.special import betaincinv, expit, logit
 from fmsync import checks
 from fmsync.samplers.base import Target
 from fmsync.samplers.concentration import Concentration, traces
-from fmsync.samplers.plane_rotations import inner, node_blocks
+from fmsync.samplers.plane_rotations import inner
 from fmsync.samplers.random_streams import LANES, fill, uniform
 
 
@@ -65,8 +65,9 @@ def jump(
 
 
 class Inliers:
-    """Indicators, their share p and κ of every chain, and the blocks (K, 2E n²) of the inliers that map sweeps read.
+    """Indicators, their share p and κ of every chain; map sweeps read ``maps`` (1, E, n, n) and ``weights`` (K, E).
 
+    The weights are the indicators: 1 for an inlier, 0 for an outlier.
     As long as κ does not move, all observations count, so that chains from random maps can order first.
     """
 
@@ -77,12 +78,11 @@ class Inliers:
         self._concentration = Concentration(target, n_chains, rng)
         self.kappa, self.inferred = self._concentration.value, self._concentration.inferred
         self._share = np.full(n_chains, 0.5)
-        self._inlier = np.ones((n_chains, p.n_edges))
-        self.blocks = np.empty((n_chains, 2 * p.n_edges * p.n**2))
+        self.maps, self.weights = p.maps[None], np.ones((n_chains, p.n_edges))
         self._numbers = np.empty((-(-(p.n_edges + 1) // LANES), LANES))
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: object, powers: np.ndarray) -> None:
-        """A jump of the transposed maps x (K, N, n, n), in place; then indicators, p and κ, and the blocks of inliers.
+        """A jump of the transposed maps x (K, N, n, n), in place; then indicators, p and κ.
 
         ``powers`` (K,) multiply the log-likelihood of the inliers.
         """
@@ -95,14 +95,12 @@ class Inliers:
         for k in range(len(x) if infer else 0):
             fill(states[k], self._numbers)
             first, *numbers = self._numbers.flat[: p.n_edges + 1]
-            self._inlier[k] = numbers < chances[k]
-            count = self._inlier[k].sum()
+            self.weights[k] = numbers < chances[k]
+            count = self.weights[k].sum()
             self._share[k] = np.clip(betaincinv(1 + count, 1 + p.n_edges - count, first), 1e-300, 1 - 1e-16)
         if infer and self.inferred:
-            counts = self._inlier.sum(axis=1)
-            self._concentration.update((self._inlier * seen).sum(axis=1), states, powers, counts)
-        for k in range(len(x)):
-            node_blocks(p.maps, self._inlier[k], p.incidence, self.blocks[k])
+            counts = self.weights.sum(axis=1)
+            self._concentration.update((self.weights * seen).sum(axis=1), states, powers, counts)
 
     def probabilities(self, x: np.ndarray) -> np.ndarray:
         """(K, E) of being inliers given the transposed maps x (K, N, n, n), κ and p."""
@@ -110,7 +108,7 @@ class Inliers:
 
     def log_likelihood(self, x: np.ndarray) -> np.ndarray:
         """(K,) of the inliers at transposed maps x (K, N, n, n); that of an outlier is 0."""
-        return (self._inlier * self._gains(traces(self._problem, x))).sum(axis=1)
+        return (self.weights * self._gains(traces(self._problem, x))).sum(axis=1)
 
     def _gains(self, traces: np.ndarray) -> np.ndarray:
         """(K, E) log-likelihoods as inliers, those as outliers being 0."""

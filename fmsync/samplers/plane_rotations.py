@@ -1,14 +1,20 @@
 r"""Compiled sweeps of the heat bath: rotations of two columns at a time, exact for densities exp(tr(Fᵀ C)).
 
 Absolute maps are kept transposed, x[i] = C_iᵀ, so that the columns which rotate are rows, contiguous in memory. The
-planes of a map are visited in rounds of disjoint ones, whose angles do not wait for each other: all are drawn at once.
+planes of a map are visited in rounds of disjoint ones, whose angles do not wait for each other: all move at once.
 """
 
 import networkx as nx
 import numba
 import numpy as np
 
-from fmsync.samplers.random_streams import POOL, von_mises_halves
+from fmsync.block_products import add_product
+from fmsync.samplers.random_streams import LANES, fill, normals
+
+OVER_RELAXATION = 0.35  # what an angle keeps, reflected, of its distance from the mode
+_RENEWAL = np.sqrt(1 - OVER_RELAXATION**2)
+_VECTOR = 4  # doubles of AVX2
+_HALF = 2.0**27
 
 
 def rounds(n: int) -> np.ndarray:
@@ -31,81 +37,52 @@ def colours(start: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @numba.njit(cache=True, nogil=True)
-def node_blocks(maps: np.ndarray, weights: np.ndarray, incidence: tuple[np.ndarray, ...], out: np.ndarray) -> None:
-    r"""What every neighbour says, side by side: out (2E n²,) holds at ``start[i] n²`` the (n, deg n) blocks of node i.
-
-    With them :math:`S_i^\top` is one product with the stacked transposed maps of the neighbours. ``incidence`` is the
-    problem's, which begins with ``start``.
-    """
-    (start, edge, _, forward), n = incidence, maps.shape[-1]
-    for i in range(len(start) - 1):
-        degree = start[i + 1] - start[i]
-        block = out[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
-        for t in range(degree):
-            e = edge[start[i] + t]
-            for a in range(n):
-                for b in range(n):
-                    value = maps[e, b, a] if forward[start[i] + t] else maps[e, a, b]
-                    block[a, t * n + b] = weights[e] * value
-
-
-@numba.njit(cache=True, nogil=True)
 def sweep(
     x: np.ndarray,
-    blocks: np.ndarray,
-    start: np.ndarray,
-    other: np.ndarray,
+    maps: np.ndarray,
+    weights: np.ndarray,
+    incidence: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     field: np.ndarray,
-    kappa: np.ndarray,
-    over_relaxations: int,
+    kappa: float,
     planes: np.ndarray,
     nodes: np.ndarray,
     states: np.ndarray,
     gains: np.ndarray,
 ) -> None:
-    r"""Visit ``nodes`` of every chain in order: each is over-relaxed some times, then drawn by the heat bath.
+    r"""Visit ``nodes`` of a chain in order, and move all planes of each by :func:`over_relaxed`.
 
     Rotating columns a, b of C_i by θ changes the exponent :math:`\operatorname{tr} W`, :math:`W = F_i^\top C_i`, into
-    :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises. Over-relaxation takes θ to
-    twice the angle of the mode, which leaves the density as it is.
+    :math:`A\cos\theta + B\sin\theta`, A = W_aa + W_bb, B = W_ab - W_ba: θ is von Mises.
 
-    Transposed maps x (K, N, n, n) change in place. ``blocks`` of :func:`node_blocks` are (K, 2E n²) or, where all
-    chains read the same, (1, 2E n²); ``field`` (N, n, n), or (0, n, n), are transposed linear terms of a prior,
-    :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`; ``kappa`` (K,), ``planes`` of :func:`rounds`, ``states``
-    (K, N, 4, 8) generators. ``gains`` (K, N) gets at every node visited the change of
+    Transposed maps x (N, n, n) change in place. ``maps`` (E, n, n) and ``weights`` (E,) are the observations,
+    ``incidence`` the problem's; ``field`` (N, n, n), or (0, n, n), are transposed linear terms of a prior,
+    :math:`F_i = \kappa S_i + \mathrm{field}_i^\top`; ``planes`` those of :func:`rounds`, ``states`` (N, 4, 8)
+    generators. ``gains`` (N,) gets at every node visited the change of
     :math:`\sum_E w \operatorname{tr}(C_{ij}^\top C_i^\top C_j)`.
     """
-    n = x.shape[-1]
-    largest = 0
-    for i in nodes:
-        largest = max(largest, start[i + 1] - start[i])
-    gathered = np.empty((largest * n, n))
+    (start, edge, other, forward), n = incidence, x.shape[-1]
     sums, force, product = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     rows = np.empty((n, 2 * n))  # row a: column a of W, then column a of C
-    angles = np.ones((5, (planes.shape[1] + 3) // 4 * 4))  # whole vectors: those beyond the planes are not used
-    pool = np.empty(POOL)
-    for k in range(len(x)):
-        c, own = x[k], blocks[k if len(blocks) > 1 else 0]
-        for i in nodes:
-            degree = start[i + 1] - start[i]
-            for t in range(degree):
-                gathered[t * n : (t + 1) * n] = c[other[start[i] + t]]
-            block = own[start[i] * n * n : start[i + 1] * n * n].reshape(n, degree * n)
-            np.dot(block, gathered[: degree * n], sums)  # S_iᵀ
-            before = inner(sums, c[i])
-            for a in range(n):
-                for b in range(n):
-                    force[a, b] = kappa[k] * sums[a, b]
-                    if len(field):
-                        force[a, b] += field[i, a, b]
-            np.dot(c[i], force.T, product)  # Wᵀ
-            rows[:, :n] = product
-            rows[:, n:] = c[i]
-            for _ in range(over_relaxations):
-                _over_relax(rows, planes, angles)
-            _draw(rows, planes, angles, states[k, i], pool)
-            c[i] = rows[:, n:]
-            gains[k, i] = inner(sums, c[i]) - before
+    room, shape = plane_room(planes), (n, n, n)
+    flat_x, flat_maps = x.reshape(-1), maps.reshape(-1)
+    for i in nodes:
+        sums[:] = 0.0  # S_iᵀ
+        for t in range(start[i], start[i + 1]):
+            places, steps = (0, edge[t] * n * n, other[t] * n * n), (1, n) if forward[t] else (n, 1)
+            add_product(sums.reshape(-1), flat_maps, flat_x, places, steps, shape, weights[edge[t]])
+        before = inner(sums, x[i])
+        for a in range(n):
+            for b in range(n):
+                force[b, a] = kappa * sums[a, b]
+                if len(field):
+                    force[b, a] += field[i, a, b]
+        product[:] = 0.0  # Wᵀ
+        add_product(product.reshape(-1), flat_x, force.reshape(-1), (0, i * n * n, 0), (n, 1), shape, 1.0)
+        rows[:, :n] = product
+        rows[:, n:] = x[i]
+        _rotate_planes(rows, planes, room, states[i])
+        x[i] = rows[:, n:]
+        gains[i] = inner(sums, x[i]) - before
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -118,42 +95,99 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over_relax(rows: np.ndarray, planes: np.ndarray, angles: np.ndarray) -> None:
-    along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
-    for pairs in planes:
-        _read(rows, pairs, along, across)
-        for p in range(len(along)):
-            square = along[p] * along[p] + across[p] * across[p]
-            shrink = 1 / square if square > 0.0 else 0.0
-            cosine[p] = (along[p] * along[p] - across[p] * across[p]) * shrink if square > 0.0 else 1.0
-            sine[p] = 2 * along[p] * across[p] * shrink
-        rotate_rows(rows, pairs, cosine, sine)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _draw(rows: np.ndarray, planes: np.ndarray, angles: np.ndarray, state: np.ndarray, pool: np.ndarray) -> None:
-    along, across, cosine, sine, size = angles[0], angles[1], angles[2], angles[3], angles[4]
-    spare, at = np.empty(len(size)), POOL
-    for pairs in planes:
-        _read(rows, pairs, along, across)
-        for p in range(len(size)):
-            size[p] = np.sqrt(along[p] * along[p] + across[p] * across[p])
-            shrink = 1 / size[p] if size[p] > 0.0 else 0.0
-            along[p] = along[p] * shrink if size[p] > 0.0 else 1.0
-            across[p] *= shrink
-        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
-        for p in range(len(size)):  # twice the half angle, turned by the angle of the mode
-            c, s = cosine[p] * cosine[p] - sine[p] * sine[p], 2 * cosine[p] * sine[p]
-            cosine[p], sine[p] = along[p] * c - across[p] * s, across[p] * c + along[p] * s
-        rotate_rows(rows, pairs, cosine, sine)
-
-
 @numba.njit(cache=True, nogil=True)
-def _read(rows: np.ndarray, pairs: np.ndarray, along: np.ndarray, across: np.ndarray) -> None:
-    for p in range(len(pairs)):
-        a, b = pairs[p, 0], pairs[p, 1]
-        along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
+def plane_room(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Room to move all planes of a matrix: (6, M) for one round, padded to whole vectors, and two of random numbers."""
+    n_rounds, count = planes.shape[0], planes.shape[1]
+    width = (count + _VECTOR - 1) // _VECTOR * _VECTOR
+    numbers = ((n_rounds - 1) * count + width + LANES - 1) // LANES * LANES
+    return np.ones((6, width)), np.empty(numbers), np.empty(numbers)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _rotate_planes(
+    rows: np.ndarray, planes: np.ndarray, room: tuple[np.ndarray, np.ndarray, np.ndarray], state: np.ndarray
+) -> None:
+    (angles, normal, level), count = room, planes.shape[1]
+    along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
+    normals(state, normal.reshape(-1, LANES))
+    fill(state, level.reshape(-1, LANES))
+    for r in range(len(planes)):
+        for p in range(count):
+            a, b = planes[r, p, 0], planes[r, p, 1]
+            along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
+        over_relaxed(along, across, cosine, sine, normal[r * count :], level[r * count :])
+        for p in range(len(along)):  # twice the half angle, turned by the angle of the mode
+            c, s = 1 - 2 * sine[p] * sine[p], 2 * sine[p] * cosine[p]
+            cosine[p], sine[p] = along[p] * c - across[p] * s, across[p] * c + along[p] * s
+        rotate_rows(rows, planes[r], cosine, sine)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _exp(x: float) -> float:
+    """e^x for abs(x) <= 1, off by less than 1e-14. Of plain arithmetic, for loops of vector code."""
+    y = 1 + x * (1 / 12) * (1 + x * (1 / 13) * (1 + x * (1 / 14) * (1 + x * (1 / 15) * (1 + x * (1 / 16)))))
+    y = 1 + x * (1 / 8) * (1 + x * (1 / 9) * (1 + x * (1 / 10) * (1 + x * (1 / 11) * y)))
+    y = 1 + x * (1 / 4) * (1 + x * (1 / 5) * (1 + x * (1 / 6) * (1 + x * (1 / 7) * y)))
+    return 1 + x * (1 + x * (1 / 2) * (1 + x * (1 / 3) * y))
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _sin(x: float) -> float:
+    """sin(x) for abs(x) <= π/2, off by less than 1e-15."""
+    q = x * x
+    y = 1 - q * (1 / 210) * (1 - q * (1 / 272) * (1 - q * (1 / 342) * (1 - q * (1 / 420))))
+    y = 1 - q * (1 / 110) * (1 - q * (1 / 156) * y)
+    return x * (1 - q * (1 / 6) * (1 - q * (1 / 20) * (1 - q * (1 / 42) * (1 - q * (1 / 72) * y))))
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def half_angle(cosine: float, sine: float) -> tuple[float, float]:
+    """Cosine and sine of half the angle in [-π, π] that has these."""
+    root = np.sqrt((1 + abs(cosine)) / 2)
+    other = abs(sine) / (2 * root)
+    return (root, np.copysign(other, sine)) if cosine >= 0.0 else (other, np.copysign(root, sine))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def over_relaxed(
+    along: np.ndarray,
+    across: np.ndarray,
+    cosine: np.ndarray,
+    sine: np.ndarray,
+    normal: np.ndarray,
+    level: np.ndarray,
+) -> None:
+    r"""Move angles that are von Mises about a mode, from 0: where they are then, as seen from the mode.
+
+    ``along`` and ``across`` are k cos m and k sin m for the angle m of the mode: they become cos m and sin m, and
+    ``cosine`` and ``sine`` those of half the new angle ψ from the mode. The density
+    :math:`\propto e^{k\cos\psi}` of :math:`s=\sin(\psi/2)` is :math:`e^{-2ks^2}/\sqrt{1-s^2}`, nearly normal. As with
+    Adler's over-relaxation (1981) of a normal number, s is reflected about the mode, and moves in part to a new draw,
+    :math:`s' = -\alpha s + \sqrt{1-\alpha^2}\,z/2\sqrt k` with z from ``normal``. This Metropolis step is rejected once
+    in about 12k times, and then the angle is reflected. Where k < 1/2, a uniform angle takes the place of s'. ``level``
+    are uniform numbers in [0, 1).
+    """
+    for p in range(len(along)):
+        a, b = along[p], across[p]
+        k = np.sqrt(a * a + b * b)
+        twice = np.sqrt(2 * k * (k + abs(a)))  # 2k times the larger of cos(m/2) and sin(m/2)
+        inverse = 1 / (k * twice) if twice > 0.0 else 0.0
+        shrink, larger, smaller = twice * inverse, twice * twice * inverse / 2, k * abs(b) * inverse
+        # of m/2: as seen from the mode the angle is at -m, and reflected at m
+        old_cosine, old = (larger, np.copysign(smaller, b)) if a >= 0.0 else (smaller, np.copysign(larger, b))
+        old_cosine = old_cosine if twice > 0.0 else 1.0
+        # the density of s over the proposal's is 1/√(1 - s²), and for uniform angles e^{k cos ψ}
+        spare = level[p] * _HALF - np.floor(level[p] * _HALF)  # the last 26 of 53 bits decide, the first propose
+        normal_step = OVER_RELAXATION * old + _RENEWAL / 2 * np.sqrt(shrink) * normal[p]
+        new = normal_step if k >= 0.5 else _sin(np.pi * (level[p] - 0.5))
+        square = max(1 - new * new, 0.0)
+        bar = level[p] * level[p] * square if abs(new) < 1.0 else 2.0
+        likelier = _exp(2 * min(k, 0.5) * (old * old - new * new))
+        passed = bar < old_cosine * old_cosine if k >= 0.5 else spare < likelier
+        along[p], across[p] = a * shrink if twice > 0.0 else 1.0, b * shrink
+        sine[p] = new if passed else old
+        cosine[p] = np.sqrt(square) if passed else old_cosine
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})

@@ -8,7 +8,7 @@ is linear in each map: the heat bath applies. Given the maps, with A the symmetr
 
 .. math:: p(P)\propto\prod_{a<b}(\lambda_a+\lambda_b)\,\exp\bigl(-\lVert P-A\rVert_F^2/2\sigma^2\bigr),
 
-drawn by Gibbs steps in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors by von Mises draws
+moved in eigen-coordinates :math:`P = V\Lambda V^\top`: planes of eigenvectors as those of maps are,
 and eigenvalues by slices, half of either in turn. The maps mix more slowly than the polar factors: half is enough.
 """
 
@@ -18,8 +18,8 @@ import numba
 import numpy as np
 
 from fmsync.samplers.base import Target
-from fmsync.samplers.plane_rotations import node_blocks, rotate_rows, rounds
-from fmsync.samplers.random_streams import POOL, uniform, von_mises_halves
+from fmsync.samplers.plane_rotations import half_angle, over_relaxed, plane_room, rotate_rows, rounds
+from fmsync.samplers.random_streams import LANES, fill, normals, uniform
 
 Pool = Callable[[Callable[[int, int], None], int], None]  # calls work on chains first .. last, of so many
 
@@ -28,9 +28,10 @@ _SIGMA2_ROUNDS = 8  # alternations of σ² and the common scale, which cost noth
 
 
 class PolarFactors:
-    """Symmetric polar factors and noise variance of every chain, and the blocks of observations that map sweeps read.
+    """Symmetric polar factors and noise variance of every chain, and the observations that map sweeps read.
 
-    ``sigma2`` (K,), ``blocks`` (K, 2E n²). The start is what projection does to a Gaussian matrix around I.
+    ``sigma2`` (K,), ``maps`` (K, E, n, n), and ``weights`` (1, E), which are ones. The start is what projection does
+    to a Gaussian matrix around I.
     """
 
     inferred = True
@@ -45,7 +46,7 @@ class PolarFactors:
         noise = np.eye(n) + np.sqrt(sigma2) * rng.standard_normal((n_chains, n_edges, n, n))
         _, self._values, self._vectors = np.linalg.svd(noise)  # rows of the vectors are eigenvectors
         self._values[..., -1] *= np.sign(np.linalg.det(noise))
-        self.blocks = np.empty((n_chains, 2 * n_edges * n * n))
+        self.maps, self.weights = np.empty((n_chains, *self._problem.maps.shape)), np.ones((1, n_edges))
         self._halves, self._age = [np.ascontiguousarray(rounds(n)[k::2]) for k in (0, 1)], 0
 
     @property
@@ -53,7 +54,7 @@ class PolarFactors:
         return 1 / self.sigma2
 
     def step(self, x: np.ndarray, states: np.ndarray, infer: bool, over_chains: Pool, powers: np.ndarray) -> None:
-        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and the blocks.
+        """New polar factors given the transposed maps x (K, N, n, n), with ``infer`` a new σ², and observations.
 
         The coupling of maps and observations, tr(Mᵀ C_iᵀ C_j)/σ², is multiplied by ``powers`` (K,).
         """
@@ -63,8 +64,8 @@ class PolarFactors:
         def some(first: int, last: int) -> None:
             own = slice(first, last)
             polar_factor_step(
-                x[own], self._vectors[own], self._values[own], self.sigma2[own], powers[own], self.blocks[own],
-                states[own], p.edges, p.maps, p.incidence, self._halves[parity], parity, infer,
+                x[own], self._vectors[own], self._values[own], self.sigma2[own], powers[own], self.maps[own],
+                states[own], p.edges, p.maps, self._halves[parity], parity, infer,
             )  # fmt: skip
 
         over_chains(some, len(x))
@@ -85,28 +86,25 @@ def polar_factor_step(
     values: np.ndarray,
     sigma2: np.ndarray,
     powers: np.ndarray,
-    blocks: np.ndarray,
+    unprojected: np.ndarray,
     states: np.ndarray,
     edges: np.ndarray,
     maps: np.ndarray,
-    incidence: tuple[np.ndarray, ...],
     planes: np.ndarray,
     parity: int,
     infer: bool,
 ) -> None:
     """All edges of every chain in place: eigenvectors in rounds of ``planes``, eigenvalues of one ``parity``, 0 or 1.
 
-    With ``infer`` a new σ² of every chain; C P goes to the ``blocks`` of the map sweeps.
+    With ``infer`` a new σ² of every chain; ``unprojected`` (K, E, n, n) become C P.
     """
     n_edges, n = maps.shape[0], maps.shape[1]
     relative, centre = np.empty((n, n)), np.empty((n, n))
     product, scaled = np.empty((n, n)), np.empty((n, n))
     rows, diagonal = np.empty((n, 2 * n)), np.empty(n)  # V beside V A, and the diagonal of V A Vᵀ
-    unprojected, ones = np.empty(maps.shape), np.ones(n_edges)
-    angles, pool = np.ones((7, (planes.shape[1] + 3) // 4 * 4)), np.empty(POOL)
+    room = plane_room(planes)
     for k in range(len(x)):
         quadratic = linear = 0.0  # Σ ‖P‖² and Σ tr(P A)
-        at = POOL  # a chain has numbers of its own
         for e in range(n_edges):
             np.dot(x[k, edges[e, 0]], x[k, edges[e, 1]].T, relative)
             np.dot(maps[e].T, relative, product)
@@ -119,7 +117,7 @@ def polar_factor_step(
                 for b in range(n):
                     rows[a, b], rows[a, n + b] = vectors[k, e, a, b], product[a, b]
                     diagonal[a] += vectors[k, e, a, b] * product[a, b]
-            at = rotate_eigenvectors(rows, diagonal, values[k, e], sigma2[k], planes, angles, states[k], pool, at)
+            rotate_eigenvectors(rows, diagonal, values[k, e], sigma2[k], planes, room, states[k])
             draw_eigenvalues(values[k, e], diagonal, sigma2[k], parity, states[k])
             for a in range(n):
                 quadratic += values[k, e, a] * values[k, e, a]
@@ -134,8 +132,7 @@ def polar_factor_step(
                 for b in range(n):
                     scaled[a, b] = values[k, e, a] * vectors[k, e, a, b]
             np.dot(vectors[k, e].T, scaled, product)
-            np.dot(maps[e], product, unprojected[e])
-        node_blocks(unprojected, ones, incidence, blocks[k])
+            np.dot(maps[e], product, unprojected[k, e])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -145,48 +142,39 @@ def rotate_eigenvectors(
     values: np.ndarray,
     sigma2: float,
     planes: np.ndarray,
-    angles: np.ndarray,
+    room: tuple[np.ndarray, np.ndarray, np.ndarray],
     state: np.ndarray,
-    pool: np.ndarray,
-    at: int,
-) -> int:
-    r"""Gibbs draws of planes of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
+) -> None:
+    r"""Over-relaxed moves of planes of eigenvectors: rows (n, 2n) hold V and V A, rotated together.
 
     With B = V A Vᵀ, whose diagonal is kept up to date and whose other entries are products of two rows, twice the angle
-    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`. ``angles`` (7, M) is
-    room; the stock of random numbers is that of :func:`~fmsync.samplers.random_streams.von_mises_halves`.
+    is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`. ``room`` is that of
+    :func:`~fmsync.samplers.plane_rotations.plane_room`.
     """
-    n = len(values)
-    half, between, gap, size = angles[0], angles[1], angles[2], angles[3]
-    cosine, sine, spare = angles[4], angles[5], angles[6]
-    for pairs in planes:
-        for k in range(len(pairs)):
-            a, b = pairs[k, 0], pairs[k, 1]
+    (angles, normal, level), n, count = room, len(values), planes.shape[1]
+    along, across, cosine, sine, half, between = angles
+    normals(state, normal.reshape(-1, LANES))
+    fill(state, level.reshape(-1, LANES))
+    for r in range(len(planes)):
+        for k in range(count):
+            a, b = planes[r, k, 0], planes[r, k, 1]
             p, q = rows[a], rows[b]
             product = 0.0
-            for r in range(n):
-                product += p[r] * q[n + r]
+            for c in range(n):
+                product += p[c] * q[n + c]
             between[k], half[k] = product, (diagonal[a] - diagonal[b]) / 2
-            gap[k] = (values[a] - values[b]) / sigma2
-        for k in range(len(size)):
-            size[k] = np.abs(gap[k]) * np.sqrt(half[k] * half[k] + between[k] * between[k])
-        at = von_mises_halves(size, cosine, sine, spare, len(pairs), state, pool, at)
-        for k in range(len(size)):  # half the angle of the mode comes on top: the angle of (size + along, across)
-            along, across = gap[k] * half[k], gap[k] * between[k]
-            x = size[k] + along if along >= 0 else across
-            y = across if along >= 0 else size[k] - along
-            square = 2 * size[k] * (size[k] + np.abs(along))
-            shrink = 1 / np.sqrt(square) if square > 0.0 else 0.0
-            x, y = x * shrink if square > 0.0 else 1.0, y * shrink
+            gap = (values[a] - values[b]) / sigma2
+            along[k], across[k] = gap * half[k], gap * between[k]
+        over_relaxed(along, across, cosine, sine, normal[r * count :], level[r * count :])
+        for k in range(count):  # half the angle of the mode comes on top
+            x, y = half_angle(along[k], across[k])
             cosine[k], sine[k] = cosine[k] * x - sine[k] * y, sine[k] * x + cosine[k] * y
-        for k in range(len(pairs)):
-            a, b = pairs[k, 0], pairs[k, 1]
+            a, b = planes[r, k, 0], planes[r, k, 1]
             middle = (diagonal[a] + diagonal[b]) / 2
             c, s = cosine[k], sine[k]
             turned = half[k] * (c * c - s * s) + between[k] * 2 * c * s
             diagonal[a], diagonal[b] = middle + turned, middle - turned
-        rotate_rows(rows, pairs, cosine, sine)
-    return at
+        rotate_rows(rows, planes[r], cosine, sine)
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

@@ -1,4 +1,4 @@
-r"""Random numbers in compiled loops: xoshiro256++ in eight lanes, and von Mises draws without trigonometry.
+r"""Random numbers in compiled loops: xoshiro256++ in eight lanes, and normal numbers by the ziggurat.
 
 A stream belongs to a chain or to a node of a chain, never to a thread: draws are the same however work is shared out.
 """
@@ -7,7 +7,18 @@ import numba
 import numpy as np
 
 LANES = 8
-POOL = 32 * LANES  # numbers kept in stock
+_LAYERS, _LAST, _AREA = 256, 3.6541528853610088, 4.92867323399141e-3  # of Marsaglia & Tsang (2000), for exp(-x²/2)
+
+
+def _layers() -> np.ndarray:
+    """(257,) right ends of layers of one area under exp(-x²/2), from the lowest, which has the tail, to the top."""
+    ends = [_AREA / np.exp(-(_LAST**2) / 2), _LAST]
+    while len(ends) < _LAYERS:
+        ends.append(np.sqrt(-2 * np.log(_AREA / ends[-1] + np.exp(-(ends[-1] ** 2) / 2))))
+    return np.array([*ends, 0.0])
+
+
+_ENDS = _layers()
 
 
 def generators(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -46,69 +57,32 @@ def uniform(state: np.ndarray) -> float:
     return _next(state, 0)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _exp(x: float) -> float:
-    """e^x for x <= 0, off by less than 3e-14; e^-50 below -50. Of plain arithmetic, for loops of vector code."""
-    t = max(x, -50.0) * (1 / 64)
-    y = 1 + t * (1 / 5) * (1 + t * (1 / 6) * (1 + t * (1 / 7) * (1 + t * (1 / 8) * (1 + t * (1 / 9)))))
-    y = 1 + t * (1 + t * (1 / 2) * (1 + t * (1 / 3) * (1 + t * (1 / 4) * y)))
-    y = (y * y) * (y * y)
-    y = (y * y) * (y * y)
-    return (y * y) * (y * y)
+@numba.njit(cache=True, nogil=True)
+def normals(state: np.ndarray, out: np.ndarray) -> None:
+    """Standard normal numbers for all of ``out`` (m, 8), by the ziggurat of Marsaglia & Tsang (2000)."""
+    fill(state, out)
+    flat = out.reshape(-1)
+    for p in range(len(flat)):
+        scaled = _LAYERS * flat[p]
+        layer = int(scaled)
+        x = (2 * (scaled - layer) - 1) * _ENDS[layer]
+        flat[p] = x if abs(x) < _ENDS[layer + 1] else _rare(state, layer, x)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _proposal(k: float, root_w: float, a: float, level: float) -> tuple[float, float, bool]:
-    """From a in [-1, 1) and level in [0, 1): cos φ, sin φ, and whether they pass."""
-    q = 1 - a * a
-    root = np.sqrt(q)
-    tail = root_w * a
-    r = tail * tail
-    shrink = 1 / (q + r)
-    most = 1.14 if k >= 2 else 2.4
-    passed = (r <= q) and (level * most * root * (q + r) < _exp(-8 * k * (q * shrink) * (r * shrink)))
-    return (q - r) * shrink, 2 * tail * root * shrink, passed
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def von_mises_halves(
-    k: np.ndarray,
-    cosine: np.ndarray,
-    sine: np.ndarray,
-    spare: np.ndarray,
-    m: int,
-    state: np.ndarray,
-    pool: np.ndarray,
-    at: int,
-) -> int:
-    r"""cos φ and sin φ of half angles φ = ψ/2, where ψ has density :math:`\propto e^{k\cos\psi}`, k >= 0.
-
-    The tangent of ψ/4 is proposed by Student's t distribution with two degrees of freedom,
-    :math:`v=\sqrt{w}\,a/\sqrt{1-a^2}` with a uniform on (-1, 1) and w = 1/(8k + 1/2), cut to \|v\| <= 1. Target over
-    envelope, :math:`e^{-8kz/(1+z)^2}(1+z/w)^{3/2}/(1+z)` with :math:`z=v^2`, is at most 2.4, and 1.14 for k >= 2: then
-    at least 77 % of the proposals pass. The first proposals for all k are vector code, those that fail are redone one
-    by one.
-
-    Of the (M,) arrays ``k`` is read, the others are written; entries from number m on fill vectors and are proposals
-    only. ``pool`` (POOL,) is a stock of uniform numbers and ``at`` the place of the next, POOL when there is none;
-    returns the new place.
-    """
-    count = len(k)
-    if at + 2 * count > len(pool):
-        fill(state, pool.reshape(-1, LANES))
-        at = 0
-    for p in range(count):
-        root_w = np.sqrt(1 / (8 * k[p] + 0.5))
-        cosine[p], sine[p], passed = _proposal(k[p], root_w, 2 * pool[at + p] - 1, pool[at + count + p])
-        spare[p] = 1.0 if passed else 0.0
-    at += 2 * count
-    for p in range(m):
-        while spare[p] == 0.0:
-            if at + 2 > len(pool):
-                fill(state, pool.reshape(-1, LANES))
-                at = 0
-            root_w = np.sqrt(1 / (8 * k[p] + 0.5))
-            cosine[p], sine[p], passed = _proposal(k[p], root_w, 2 * pool[at] - 1, pool[at + 1])
-            spare[p] = 1.0 if passed else 0.0
-            at += 2
-    return at
+@numba.njit(cache=True, nogil=True)
+def _rare(state: np.ndarray, layer: int, x: float) -> float:
+    """A normal number where x of a layer is not below the whole of the next: one in a hundred."""
+    while True:
+        if abs(x) < _ENDS[layer + 1]:
+            return x
+        if layer == 0:  # beyond the last layer
+            beyond, level = 0.0, 0.0
+            while 2 * level <= beyond * beyond:
+                beyond, level = -np.log(1 - uniform(state)) / _LAST, -np.log(1 - uniform(state))
+            return np.copysign(_LAST + beyond, x)
+        low, high = np.exp((x * x - _ENDS[layer] ** 2) / 2), np.exp((x * x - _ENDS[layer + 1] ** 2) / 2)
+        if low + uniform(state) * (high - low) < 1:
+            return x
+        scaled = _LAYERS * uniform(state)
+        layer = int(scaled)
+        x = (2 * (scaled - layer) - 1) * _ENDS[layer]

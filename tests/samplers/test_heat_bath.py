@@ -85,7 +85,6 @@ def test_chains_do_not_depend_on_their_number():
         ({"likelihood": "gaussian"}, "likelihood: 'langevin' or 'projected-gaussian' or 'mixture'"),
         ({"likelihood": "projected-gaussian", "kappa": 3.0}, "infers sigma2"),
         ({"likelihood": "projected-gaussian", "beta": 3.0}, "infers sigma2"),
-        ({"over_relaxations": -1}, "over_relaxations"),
         ({"energy": "geodesic"}, "energy: 'heat-bath' takes 'euclidean' alone"),
         ({"n_draws": 0}, "n_draws"),
     ],

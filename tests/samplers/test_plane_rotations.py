@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import data_gen
 import fmsync
@@ -29,28 +30,50 @@ def test_colours_are_proper():
     assert (colour[p.edges[:, 0]] != colour[p.edges[:, 1]]).all()
 
 
-def slow_sweep(c, problem, kappa, field, over_relaxations, order, states):
+def slow_sweep(c, problem, kappa, field, order, states):
     """The same pass on whole matrices, with a fresh W = Fᵀ C before every rotation."""
-    count = problem.n // 2
-    padded = -(-count // 4) * 4
+    n, count = problem.n, problem.n // 2
     for i in order:
-        pool, at, room = np.empty(random_streams.POOL), random_streams.POOL, np.empty((3, padded))
+        _, *numbers = plane_rotations.plane_room(plane_rotations.rounds(n))
+        normal, level = (a.reshape(-1, 8) for a in numbers)
+        random_streams.normals(states[i], normal)
+        random_streams.fill(states[i], level)
         force = kappa * neighbour_sums(problem, c)[i] + field[i]
-        for over_relax in [True] * over_relaxations + [False]:
-            for pairs in plane_rotations.rounds(problem.n):
-                size = np.ones(padded)
-                w = force.T @ c[i]
-                size[:count] = [np.hypot(w[a, a] + w[b, b], w[a, b] - w[b, a]) for a, b in pairs]
-                if not over_relax:
-                    at = random_streams.von_mises_halves(size, room[0], room[1], room[2], count, states[i], pool, at)
-                for k, (a, b) in enumerate(pairs):
-                    w = force.T @ c[i]
+        for r, pairs in enumerate(plane_rotations.rounds(n)):
+            w = force.T @ c[i]
+            for k, (a, b) in enumerate(pairs):
+                size, mode = np.hypot(w[a, a] + w[b, b], w[a, b] - w[b, a]), 0.0
+                if size > 0:
                     mode = np.arctan2(w[a, b] - w[b, a], w[a, a] + w[b, b])
-                    angle = 2 * mode if over_relax else mode + 2 * np.arctan2(room[1, k], room[0, k])
-                    turn = np.eye(problem.n)
-                    turn[[a, b], [a, b]] = np.cos(angle)
-                    turn[b, a], turn[a, b] = np.sin(angle), -np.sin(angle)
-                    c[i] = c[i] @ turn
+                z, u = normal.flat[r * count + k], level.flat[r * count + k]
+                angle = mode + slow_over_relaxed(mode, size, z, u)
+                turn = np.eye(n)
+                turn[[a, b], [a, b]] = np.cos(angle)
+                turn[b, a], turn[a, b] = np.sin(angle), -np.sin(angle)
+                c[i] = c[i] @ turn
+
+
+def slow_over_relaxed(mode, size, z, u):
+    """The new angle from the mode of one that was at 0: a Metropolis step from the reflected angle, ``mode``."""
+    if size < 0.5:
+        angle = 2 * np.arcsin(np.sin(np.pi * (u - 0.5)))
+        return angle if u * 2**27 % 1 < np.exp(size * (np.cos(angle) - np.cos(mode))) else mode
+    keep = plane_rotations.OVER_RELAXATION
+    old = np.sin(mode / 2)
+    new = keep * old + np.sqrt(1 - keep**2) * z / (2 * np.sqrt(size))
+    if abs(new) >= 1:
+        return mode
+    target = [-2 * size * s**2 - np.log(1 - s**2) / 2 for s in (old, new)]
+    normal = [-2 * size * s**2 for s in (old, new)]
+    ratio = np.exp(target[1] - target[0] + normal[0] - normal[1])
+    return 2 * np.arcsin(new) if u < ratio else mode
+
+
+def test_functions_of_plain_arithmetic():
+    x = np.linspace(-1, 1, 401)
+    sines = [plane_rotations._sin(v) for v in np.pi / 2 * x]
+    np.testing.assert_allclose([plane_rotations._exp(v) for v in x], np.exp(x), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(sines, np.sin(np.pi / 2 * x), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(("n", "with_prior"), [(4, False), (4, True), (5, False), (2, True)])
@@ -58,19 +81,48 @@ def test_sweep_against_its_slow_twin(n, with_prior):
     truth = data_gen.planted(6, n, data_gen.random_graph(6, 0.5, rng=0), rng=0)
     p = data_gen.perturb(truth, 0.1, 1, repeats=2)
     p = fmsync.SyncProblem(6, p.edges, p.maps, weights=np.random.default_rng(2).uniform(0.5, 2, p.n_edges))
-    start, _, other, _ = p.incidence
-    blocks = np.empty(2 * p.n_edges * n * n)
-    plane_rotations.node_blocks(p.maps, p.weights, p.incidence, blocks)
     c = so.random_uniform(n, 6, rng=3)
     field = so.random_uniform(n, 6, rng=4) * 3 if with_prior else np.zeros((6, n, n))
     given = np.ascontiguousarray(so.transpose(field)) if with_prior else np.empty((0, n, n))
-    states, (order, _) = random_streams.generators(np.random.default_rng(5), 6), plane_rotations.colours(start, other)
-    twin, x, twin_states, gains = c.copy(), np.ascontiguousarray(so.transpose(c)), states.copy(), np.empty(6)
-    plane_rotations.sweep(
-        x[None], blocks[None], start, other, given, np.array([5.0]), 2, plane_rotations.rounds(n), order,
-        states[None], gains[None],
-    )  # fmt: skip
-    slow_sweep(twin, p, 5.0, field, 2, order, twin_states)
-    np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
-    change = (fmsync.energy.energy(p, c) - fmsync.energy.energy(p, twin)) / 2
-    assert gains.sum() == pytest.approx(change, abs=1e-9)
+    for kappa in (0.01, 5.0):
+        states, (order, _) = random_streams.generators(np.random.default_rng(5), 6), _order(p)
+        twin, x, twin_states, gains = c.copy(), np.ascontiguousarray(so.transpose(c)), states.copy(), np.empty(6)
+        table = plane_rotations.rounds(n)
+        plane_rotations.sweep(x, p.maps, p.weights, p.incidence, given, kappa, table, order, states, gains)
+        slow_sweep(twin, p, kappa, field, order, twin_states)
+        np.testing.assert_allclose(so.transpose(x), twin, atol=1e-11)
+        change = (fmsync.energy.energy(p, c) - fmsync.energy.energy(p, twin)) / 2
+        assert gains.sum() == pytest.approx(change, abs=1e-9)
+
+
+def _order(problem):
+    return plane_rotations.colours(*problem.incidence[::2])
+
+
+@pytest.mark.parametrize("k", [1e-13, 0.02, 0.3, 0.5, 2.0, 200.0, 1e7])
+def test_over_relaxation_leaves_the_von_mises_density(k):
+    """Angles drawn from it exactly are, after a move, as far from it as chance, and further apart than before."""
+    rng, count = np.random.default_rng(1), 40_000
+    before = rng.vonmises(0, k, count) if k < 1e5 else rng.normal(0, 1 / np.sqrt(k), count)
+    along, across = k * np.cos(-before), k * np.sin(-before)  # seen from an angle the mode lies the other way
+    cosine, sine = np.empty((2, count))
+    plane_rotations.over_relaxed(along, across, cosine, sine, rng.standard_normal(count), rng.random(count))
+    np.testing.assert_allclose(cosine**2 + sine**2, 1)
+    after = 2 * np.arctan2(sine, cosine)
+    np.testing.assert_allclose(along + 1j * across, np.exp(-1j * before), atol=1e-9)
+    expected = stats.uniform(-np.pi, 2 * np.pi) if k < 1e-6 else stats.vonmises(k)
+    if k > 1e5:
+        expected = stats.norm(0, 1 / np.sqrt(k))
+    assert stats.kstest(after, expected.cdf).pvalue > 1e-4
+    if k >= 2:
+        keep = -plane_rotations.OVER_RELAXATION
+        found = np.corrcoef(np.sin(before / 2), np.sin(after / 2))[0, 1]
+        assert abs(found - keep) < 4 / np.sqrt(count) + 0.5 / k
+        assert np.mean(np.abs(after + before) < 1e-12) < 0.5 / k  # rejected steps leave the reflected angle
+
+
+@pytest.mark.parametrize(("along", "across"), [(0.0, 0.0), (-3.0, 0.0), (-3.0, 1e-300), (3.0, 0.0), (1e-200, -1e-200)])
+def test_angles_at_the_ends_stay_angles(along, across):
+    a, b, cosine, sine = (np.full(4, v) for v in (along, across, 0.0, 0.0))
+    plane_rotations.over_relaxed(a, b, cosine, sine, np.array([-0.3, 0.1, 2.0, 9.0]), np.array([0.0, 0.3, 0.6, 0.9]))
+    np.testing.assert_allclose([a**2 + b**2, cosine**2 + sine**2], 1)

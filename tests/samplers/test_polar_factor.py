@@ -20,7 +20,6 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     x = np.stack([np.eye(2), turn.T])[None]
     observed = so.exp(np.array([[[0.0, -0.2], [0.2, 0.0]]]))
-    incidence = fmsync.SyncProblem(2, [[0, 1]], observed).incidence
     centre = so.sym(observed[0].T @ turn)
 
     t = np.linspace(-6, 6, 161) * np.sqrt(sigma2)
@@ -31,16 +30,16 @@ def test_polar_factors_of_one_edge_against_quadrature(sigma2, angle):
 
     count, repeats = 500, 40
     factors, read, states = np.empty((repeats, count, 2, 2)), np.empty((repeats, count, 2, 2)), generator()[None]
-    blocks = np.empty((1, 8))
+    unprojected = np.empty((1, 1, 2, 2))
     vectors, eigenvalues = np.eye(2)[None, None].copy(), np.array([[[1.2, 0.7]]])
     for r in range(repeats):
         for t in range(count):
             polar_factor.polar_factor_step(
-                x, vectors, eigenvalues, np.array([sigma2]), np.ones(1), blocks, states, np.array([[0, 1]]), observed,
-                incidence, plane_rotations.rounds(2), t % 2, False,
+                x, vectors, eigenvalues, np.array([sigma2]), np.ones(1), unprojected, states, np.array([[0, 1]]),
+                observed, plane_rotations.rounds(2), t % 2, False,
             )  # fmt: skip
             factors[r, t] = (vectors[0, 0].T * eigenvalues[0, 0]) @ vectors[0, 0]
-            read[r, t] = blocks[0, :4].reshape(2, 2)  # by node 0
+            read[r, t] = unprojected[0, 0]
     np.testing.assert_allclose(read, observed[0] @ factors, atol=1e-12)
     diagonal = factors[..., 0, 0], factors[..., 1, 1]
     for values, grid in zip((*diagonal, factors[..., 0, 1], diagonal[0] * diagonal[1]), (a, b, c, a * b)):

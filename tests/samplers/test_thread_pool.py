@@ -1,5 +1,7 @@
 """Parts of one piece of work: the same draws however many threads there are, and Ctrl-C."""
 
+import gc
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -65,10 +67,29 @@ def test_ctrl_c_in_a_shared_step_waits_for_the_other_thread(monkeypatch):
     assert finished == [10]
 
 
+def test_an_error_in_another_thread_is_the_callers(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+
+    def work(first, last):
+        if first:
+            raise ZeroDivisionError("here")
+
+    pool = ThreadPool()
+    with pytest.raises(ZeroDivisionError, match="here"):
+        pool.parallel_for(work, 10)
+    before = threading.active_count()
+    del pool
+    gc.collect()  # the error knows where it was raised
+    deadline = time.monotonic() + 10
+    while threading.active_count() >= before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() == before - 1  # threads end with the pool
+
+
 def test_ctrl_c_in_a_shared_step_returns_the_draws_so_far(monkeypatch):
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
     p = data_gen.perturb(data_gen.planted(24, 20, rng=0), 0.1, 1)
-    options = {"kappa": 5.0, "n_chains": 4, "n_draws": 6, "warmup": 0, "rng": 3, "init": "random"}
+    options = {"kappa": 5.0, "n_chains": 4, "n_draws": 60, "warmup": 0, "rng": 3, "init": "random"}
     whole, calls, plain = fmsync.sample(p, "heat-bath", **options), [], ThreadPool.parallel_for
 
     def interrupted(pool, work, count):
@@ -80,7 +101,7 @@ def test_ctrl_c_in_a_shared_step_returns_the_draws_so_far(monkeypatch):
     monkeypatch.setattr(ThreadPool, "parallel_for", interrupted)
     post = fmsync.sample(p, "heat-bath", **options)
     assert post.interrupted
-    np.testing.assert_array_equal(post.absolute, whole.absolute[:, :3])
+    np.testing.assert_array_equal(post.absolute, whole.absolute[:, :30])  # ten steps are shared out at once
 
 
 RUN = {"kappa": 5.0, "n_chains": 4, "n_draws": 3, "warmup": 0}
