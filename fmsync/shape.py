@@ -63,8 +63,8 @@ class Shape:
 class Basis:
     """The first n Laplace–Beltrami eigenfunctions of a shape of unit area; all arrays are read-only.
 
-    ``eigenvalues`` (n,) ascend; ``eigenfunctions`` (V, n) are columns Φ with Φᵀ A Φ = I; ``mass`` (V,), the area of
-    each vertex, is the diagonal of A and sums to 1.
+    ``eigenvalues`` (n,) ascend; ``eigenfunctions`` (V, n), in single precision if they are given so, are columns Φ with
+    Φᵀ A Φ = I; ``mass`` (V,), the area of each vertex, is the diagonal of A and sums to 1.
 
     >>> basis = Basis([0.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [0.5, 0.5])
     >>> basis.with_flipped(1).eigenfunctions[:, 1]
@@ -78,8 +78,10 @@ class Basis:
     mass: np.ndarray
 
     def __post_init__(self) -> None:
+        single = getattr(self.eigenfunctions, "dtype", None) == np.float32
         for field in ("eigenvalues", "eigenfunctions", "mass"):
-            checks.set_fields(self, **{field: checks.array(field, getattr(self, field)).astype(np.float64, order="C")})
+            kind = np.float32 if single and field == "eigenfunctions" else np.float64
+            checks.set_fields(self, **{field: checks.array(field, getattr(self, field)).astype(kind, order="C")})
         if self.eigenfunctions.shape != self.mass.shape + self.eigenvalues.shape or self.eigenfunctions.ndim != 2:
             shapes = f"{self.eigenfunctions.shape}, {self.mass.shape} and {self.eigenvalues.shape}"
             raise ValueError(f"eigenfunctions must be (V, n) with mass (V,) and eigenvalues (n,), got {shapes}")

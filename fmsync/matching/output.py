@@ -93,7 +93,7 @@ def _packed(synced: SyncedShapes) -> Iterator[tuple[str, Any]]:
     del packed
     for k, s in enumerate(synced.shapes):
         faces = np.empty((0, 3), int) if s.shape.faces is None else s.shape.faces
-        parts = s.shape.vertices, faces, s.basis.eigenvalues, s.basis.eigenfunctions.astype(np.float32), s.basis.mass
+        parts = s.shape.vertices, faces, s.basis.eigenvalues, s.basis.eigenfunctions, s.basis.mass
         yield from ((f"{name}_{k}", part) for name, part in zip(_OF_SHAPES, parts))
         yield from ((f"samples_{k}", s.samples), (f"landmarks_{k}", s.samples[: s.n_landmarks]))
 

@@ -22,7 +22,7 @@ _DESCRIPTOR_SIZES = (12, 12)  # times of the heat kernel signature, energies of 
 class SampledShape:
     """A ``shape``, of unit area when small holes are closed, reduced to what matching it takes.
 
-    ``basis`` are all basis functions, of which maps use the first few; ``samples`` (S,) vertices, of which any first
+    ``basis`` are all basis functions, of which maps use the first few, in single precision; ``samples`` (S,) vertices, of which any first
     few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in
     square roots of the area, symmetric; ``coefficients`` (n, K) of :func:`descriptors` in the basis; ``orientation``
     (K, n, n) operators that change sign on the mirror image and ``normals`` (V, 3), both None for a point cloud.
@@ -39,8 +39,8 @@ class SampledShape:
 
     @checks.checked()
     def sampled(self, size: int | None = None) -> np.ndarray:
-        """Basis functions at the first ``size`` samples, (size, n)."""
-        return self.basis.eigenfunctions[self.samples[:size]]
+        """Basis functions at the first ``size`` samples, (size, n), in double precision."""
+        return self.basis.eigenfunctions[self.samples[:size]].astype(float)
 
     @checks.checked()
     def light(self, n_basis: int) -> "SampledShape":
@@ -52,7 +52,7 @@ class SampledShape:
         return replace(
             self,
             shape=Shape(self.shape.vertices[own], None, self.shape.name),
-            basis=Basis(self.basis.eigenvalues[:n], self.basis.eigenfunctions[own, :n], self.basis.mass[own]),
+            basis=Basis(self.basis.eigenvalues[:n], self.sampled()[:, :n], self.basis.mass[own]),
             samples=np.arange(len(own)),
             coefficients=self.coefficients[:n],
             normals=None if self.normals is None else self.normals[own],
@@ -94,7 +94,7 @@ def sample_shape(
     oriented = None if shape.faces is None else orientation_operators(closed, basis.truncated(n_oriented), functions)
     return SampledShape(
         shape=shape,
-        basis=basis,
+        basis=replace(basis, eigenfunctions=basis.eigenfunctions.astype(np.float32)),
         samples=samples,
         geodesics=geodesics_between(closed, samples),
         coefficients=basis.coefficients(functions),

@@ -103,7 +103,8 @@ class SyncedShapes:
         """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
         if not isinstance(vertices, slice):
             checks.indices("vertices", vertices, self.shapes[i].basis.n_vertices)
-        return self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]] @ self.refined[i].T
+        functions = self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]]
+        return functions @ self.refined[i].T.astype(functions.dtype)
 
     @checks.checked(i="< N", j="< N")
     def sample_images(self, i: int, j: int) -> np.ndarray:
