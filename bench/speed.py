@@ -30,6 +30,7 @@ from fmsync import so
 from fmsync.block_products import add_products
 from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.samplers.base import Target
+from fmsync.samplers.heat_bath import HeatBath
 from fmsync.samplers.rlfm import RLFM
 from fmsync.threads import single_threaded_blas
 
@@ -134,6 +135,15 @@ def steps() -> dict[str, float]:
     return paired(lambda: many.step(False), lambda: [alone.step(False) for _ in range(64)], 2 * RUNS)
 
 
+def sweeps() -> dict[str, float]:
+    """A sweep of the heat bath at N = 11, beside large products of as many operations as its sums over neighbours."""
+    p = data_gen.perturb(data_gen.planted(11, N, rng=0), 0.2, 1)
+    bath = HeatBath(Target(p, None, 8.1), fmsync.solve(p).absolute[None], np.random.default_rng(0))
+    square, count = np.ones((1000, 1000)), round(2e9 / (4 * p.n_edges * N**3))
+    found = paired(lambda: [bath.step(False) for _ in range(count)], lambda: square @ square, 2 * RUNS)
+    return found | {"ours": found["ours"] / count}
+
+
 def first_calls() -> dict[str, dict[str, float]]:
     """CPU seconds of first calls in new processes, beyond NumPy and SciPy; compiled before, and anew."""
     found = {}
@@ -232,6 +242,7 @@ def main() -> None:
             "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
             "warm": warm(middle, problem(1000, noise=3)),
             "steps": steps(),
+            "sweeps": sweeps(),
             "mean": paired(lambda: so.frechet_mean(turns), lambda: logarithms_by_eigenvectors(turns)),
             "solves": [solves(problem(size)) for size in SIZES],
         }

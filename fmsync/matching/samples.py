@@ -22,10 +22,11 @@ _DESCRIPTOR_SIZES = (12, 12)  # times of the heat kernel signature, energies of 
 class SampledShape:
     """A ``shape``, of unit area when small holes are closed, reduced to what matching it takes.
 
-    ``basis`` are all basis functions, of which maps use the first few, in single precision; ``samples`` (S,) vertices, of which any first
-    few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances between them, in
-    square roots of the area, symmetric; ``coefficients`` (n, K) of :func:`descriptors` in the basis; ``orientation``
-    (K, n, n) operators that change sign on the mirror image and ``normals`` (V, 3), both None for a point cloud.
+    ``basis`` are all basis functions, in single precision, of which maps use the first few; ``samples`` (S,) vertices,
+    of which any first few are spread evenly and the first ``n_landmarks`` are landmarks; ``geodesics`` (S, S) distances
+    between them, in square roots of the area, symmetric; ``coefficients`` (n, K) of :func:`descriptors` in the basis;
+    ``orientation`` (K, n, n) operators that change sign on the mirror image and ``normals`` (V, 3), both None for a
+    point cloud.
     """
 
     shape: Shape

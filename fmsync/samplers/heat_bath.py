@@ -68,7 +68,9 @@ class HeatBath(Sampler):
         self._read = maps.view(), weights.view()
         for a in self._read:
             a.setflags(write=False)  # one compiled signature
-        self._ahead = _AHEAD if self._x.size <= _SMALL and len(start) >= self.threads.size else 1
+        small_colours = np.diff(self._colours).max() < _LEAST_COLOUR * self.threads.size
+        self._side_by_side = len(start) >= self.threads.size or small_colours
+        self._ahead = _AHEAD if self._x.size <= _SMALL and self._side_by_side else 1
         self._at = 0
         self._refresh()
         self._kept = self._x[:, None], self._traces[:, None], self._kappa[:, None]
@@ -136,7 +138,7 @@ class HeatBath(Sampler):
     def _advance(self, infer: bool) -> None:
         """As many steps as are kept: chains side by side, or the nodes of one colour when chains are too few."""
         n_chains, order, incidence = len(self._x), self._order, self._problem.incidence
-        if n_chains >= self.threads.size:
+        if self._side_by_side:
 
             def some(first: int, last: int) -> None:
                 own = slice(first, last)
