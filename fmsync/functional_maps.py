@@ -158,7 +158,8 @@ def row_images(rows: np.ndarray, maps: np.ndarray, functions: np.ndarray) -> np.
 
 @checks.checked(queries="Q n", targets="V n")
 def nearest_rows(queries: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Index of the target (V, n) nearest to each query (Q, n)."""
+    """Index of the target (V, n) nearest to each query (Q, n), in the precision of the targets."""
+    queries = queries.astype(targets.dtype, copy=False)
     if min(len(queries), len(targets)) >= _MANY:
         return _nearest_of_many(queries, targets)
     lifted, queries = _lifted(queries, targets)

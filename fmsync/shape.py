@@ -110,7 +110,7 @@ class Basis:
     @checks.checked(k="< n")
     def with_flipped(self, k: int) -> "Basis":
         """The same basis with the sign of eigenfunction k flipped."""
-        signs = np.where(np.arange(self.n) == k, -1.0, 1.0)
+        signs = np.where(np.arange(self.n) == k, -1, 1).astype(self.eigenfunctions.dtype)
         return Basis(self.eigenvalues, self.eigenfunctions * signs, self.mass)
 
     @checks.checked()

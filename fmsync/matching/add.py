@@ -118,9 +118,9 @@ def _with_draws(posterior: Posterior, edges: np.ndarray, maps: np.ndarray, rng: 
         a.setflags(write=False)
     streams, ones, traces = generators(rng, len(x), 2), np.ones(len(x)), np.zeros(len(x))
     fixed = observed, weights, incidence, np.empty((0, n, n)), rounds(n), np.array([1]), streams, np.zeros((len(x), 2))
-    kept = x[:, None].copy(), traces[:, None].copy(), traces[:, None].copy()
+    states, kept = np.ascontiguousarray(streams[:, 0]), (x[:, None].copy(), *np.zeros((2, len(x), 1)))
     for _ in range(_SWEEPS):
-        advance(x, *fixed, traces, posterior.kappa.ravel(), ones, False, 0.0, np.empty((2, 0)), streams[:, 0], kept)
+        advance(x, *fixed, traces, posterior.kappa.ravel(), ones, False, 0.0, np.empty((2, 0)), states, kept)
     drawn = so.transpose(x[:, 1])
     return replace(
         posterior,

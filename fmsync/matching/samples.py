@@ -45,7 +45,7 @@ class SampledShape:
 
     @checks.checked()
     def light(self, n_basis: int) -> "SampledShape":
-        """What matching a pair takes, and no more: the samples alone, and ``n_basis`` functions at them.
+        """What matching a pair takes: the samples alone, and ``n_basis`` functions at them, in double precision.
 
         Thousands of vertices become hundreds, so that other processes and machines are sent little.
         """
@@ -87,6 +87,7 @@ def sample_shape(
     closed = Shape(shape.vertices, closed.faces)
     try:
         basis = basis or laplace_beltrami(shape.vertices, closed.faces, n_basis)
+        basis = replace(basis, eigenfunctions=basis.eigenfunctions.astype(float))
     except ValueError as error:
         raise ValueError(f"{shape.name}: {error}") from error
     landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)

@@ -15,12 +15,12 @@ from fmsync.samplers.polar_factor import PolarFactors
 from fmsync.samplers.random_streams import generators
 from fmsync.samplers.thread_pool import ThreadPool
 
-_REPAIR_EVERY = 200  # sweeps between two re-orthonormalisations, which also renew the accumulated energy
+_REPAIR_EVERY = 200  # steps between two re-orthonormalisations, which also renew the accumulated energy
 # Below these a thread costs more to wake than it saves: N n² (n + 30) of all chains; of a colour, its nodes a thread.
 _WORTH_THREADS, _LEAST_COLOUR = 3e5, 4
-_AHEAD, _SMALL = 10, 1e6  # steps of chains that do not wait for each other, while all their maps are no more numbers
-_SWEEPS_A_DRAW = 2  # of indicators, polar factors, or concentrations, which take longer to draw than maps
-_BURN_IN = 100  # sweeps of the warm-up before an unknown κ or σ² moves: chains from random maps must order first
+_AHEAD, _SMALL = 10, 1e6  # steps made at once by chains side by side, if all their maps are at most a million numbers
+_SWEEPS_A_DRAW = 2  # of indicators, polar factors, or a concentration for every edge or function: the slower part
+_BURN_IN = 100  # steps of the warm-up before an unknown κ or σ² moves: chains from random maps must order first
 
 _Latent = PolarFactors | Inliers | EdgeConcentrations
 _LATENT: dict[str, Callable[..., _Latent]] = {
@@ -38,8 +38,8 @@ class HeatBath(Sampler):
     beyond its mode, in part to a new draw (``plane_rotations.over_relaxed``): neighbouring draws are less alike than
     with new draws alone.
 
-    On several cores chains run side by side, or, when they are fewer than the cores, nodes of one graph colour. Draws
-    do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``).
+    On several cores chains run side by side, or, when they are fewer than the cores, the nodes of one graph colour if
+    these are many. Draws do not depend on the number of threads, which is that of numba (``NUMBA_NUM_THREADS``).
     """
 
     @checks.checked(start="K N n n")
@@ -102,9 +102,10 @@ class HeatBath(Sampler):
         return self._problem.constant - 2 * self._kept[1][:, self._at]
 
     def step(self, warmup: bool) -> None:
-        """One sweep of every chain after a draw of κ, or two after a draw of what else is unknown beside the maps.
+        """A draw of κ and a sweep, or of other likelihoods a draw of their latent variables and two sweeps.
 
-        Small chains that wait for nothing go some steps ahead: sharing out one step takes as long as the step.
+        Small chains that wait for nothing go some steps ahead, because sharing out one step takes as long as the step;
+        ``state``, ``kappa`` and :meth:`energy` are those of the present one.
         """
         self._at += 1
         if self._at < self._kept[0].shape[1]:
@@ -132,7 +133,7 @@ class HeatBath(Sampler):
         return self._latent.log_likelihood(self._x)
 
     def set_temperature(self, inverse: np.ndarray) -> None:
-        """Powers (K,) of the likelihood, or for projected noise of the coupling, from the next step on."""
+        """Powers (K,) of the likelihood, or for projected noise of the coupling; after it no chain goes ahead."""
         self.inverse_temperature[:], self._ahead = inverse, 1
 
     def _advance(self, infer: bool) -> None:

@@ -8,7 +8,7 @@ density 1. Given everything else the indicators z are independent,
 
 and given them the maps see the inliers alone, p is beta distributed, uniform a priori, and κ is that of the inliers.
 
-With the indicators fixed a map hardly leaves what its present inliers say. So every sweep begins with a jump of each
+With the indicators fixed a map hardly leaves what its present inliers say. So every step begins with a jump of each
 map, the indicators summed out: two of its neighbours, drawn at random, say :math:`A_j, A_k` for it;
 :math:`C_i \to A_j A_k^\top C_i` keeps the Haar measure, is as likely as its way back, and is accepted by the ratio of
 :math:`\prod_e(1-p+p\,e^{\kappa\operatorname{tr}}/c_n(\kappa))` over the maps of i.

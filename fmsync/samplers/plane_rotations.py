@@ -9,12 +9,12 @@ import numba
 import numpy as np
 
 from fmsync.block_products import add_product
-from fmsync.samplers.random_streams import LANES, fill, normals
+from fmsync.samplers.random_streams import LANES, fill, normals, uniform
 
 OVER_RELAXATION = 0.35  # what an angle keeps, reflected, of its distance from the mode
 _RENEWAL = np.sqrt(1 - OVER_RELAXATION**2)
+_CONCENTRATED, _FRESH = 10.0, 1 / 32  # below the first, and else in this share of moves, an angle is drawn anew
 _VECTOR = 4  # doubles of AVX2
-_HALF = 2.0**27
 
 
 def rounds(n: int) -> np.ndarray:
@@ -97,11 +97,11 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def plane_room(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Room to move all planes of a matrix: (6, M) for one round, padded to whole vectors, and two of random numbers."""
+    """Room to move all planes of a matrix: (7, M) for one round, padded to whole vectors, and two of random numbers."""
     n_rounds, count = planes.shape[0], planes.shape[1]
     width = (count + _VECTOR - 1) // _VECTOR * _VECTOR
     numbers = ((n_rounds - 1) * count + width + LANES - 1) // LANES * LANES
-    return np.ones((6, width)), np.empty(numbers), np.empty(numbers)
+    return np.ones((7, width)), np.empty(numbers), np.empty(numbers)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -109,44 +109,37 @@ def _rotate_planes(
     rows: np.ndarray, planes: np.ndarray, room: tuple[np.ndarray, np.ndarray, np.ndarray], state: np.ndarray
 ) -> None:
     (angles, normal, level), count = room, planes.shape[1]
-    along, across, cosine, sine = angles[0], angles[1], angles[2], angles[3]
+    along, across, cosine, sine, size = angles[0], angles[1], angles[2], angles[3], angles[4]
     normals(state, normal.reshape(-1, LANES))
     fill(state, level.reshape(-1, LANES))
     for r in range(len(planes)):
         for p in range(count):
             a, b = planes[r, p, 0], planes[r, p, 1]
             along[p], across[p] = rows[a, a] + rows[b, b], rows[b, a] - rows[a, b]
-        over_relaxed(along, across, cosine, sine, normal[r * count :], level[r * count :])
+        over_relaxed(along, across, cosine, sine, size, normal[r * count :], level[r * count :], count, state)
         for p in range(len(along)):  # twice the half angle, turned by the angle of the mode
             c, s = 1 - 2 * sine[p] * sine[p], 2 * sine[p] * cosine[p]
             cosine[p], sine[p] = along[p] * c - across[p] * s, across[p] * c + along[p] * s
         rotate_rows(rows, planes[r], cosine, sine)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _exp(x: float) -> float:
-    """e^x for abs(x) <= 1, off by less than 1e-14. Of plain arithmetic, for loops of vector code."""
-    y = 1 + x * (1 / 12) * (1 + x * (1 / 13) * (1 + x * (1 / 14) * (1 + x * (1 / 15) * (1 + x * (1 / 16)))))
-    y = 1 + x * (1 / 8) * (1 + x * (1 / 9) * (1 + x * (1 / 10) * (1 + x * (1 / 11) * y)))
-    y = 1 + x * (1 / 4) * (1 + x * (1 / 5) * (1 + x * (1 / 6) * (1 + x * (1 / 7) * y)))
-    return 1 + x * (1 + x * (1 / 2) * (1 + x * (1 / 3) * y))
+@numba.njit(cache=True, nogil=True)
+def von_mises_half(k: float, state: np.ndarray) -> tuple[float, float]:
+    r"""Cosine and sine of ψ/2 for an exact draw of ψ of density :math:`\propto e^{k\cos\psi}`, k >= 0.
 
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _sin(x: float) -> float:
-    """sin(x) for abs(x) <= π/2, off by less than 1e-15."""
-    q = x * x
-    y = 1 - q * (1 / 210) * (1 - q * (1 / 272) * (1 - q * (1 / 342) * (1 - q * (1 / 420))))
-    y = 1 - q * (1 / 110) * (1 - q * (1 / 156) * y)
-    return x * (1 - q * (1 / 6) * (1 - q * (1 / 20) * (1 - q * (1 / 42) * (1 - q * (1 / 72) * y))))
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def half_angle(cosine: float, sine: float) -> tuple[float, float]:
-    """Cosine and sine of half the angle in [-π, π] that has these."""
-    root = np.sqrt((1 + abs(cosine)) / 2)
-    other = abs(sine) / (2 * root)
-    return (root, np.copysign(other, sine)) if cosine >= 0.0 else (other, np.copysign(root, sine))
+    The tangent of ψ/4 is proposed by Student's t distribution with two degrees of freedom,
+    :math:`v=\sqrt{w}\,a/\sqrt{1-a^2}` with a uniform on (-1, 1) and w = 1/(8k + 1/2), cut to \|v\| <= 1. Target over
+    envelope, :math:`e^{-8kz/(1+z)^2}(1+z/w)^{3/2}/(1+z)` with :math:`z=v^2`, is at most 2.4, and 1.14 for k >= 2.
+    """
+    w, most = 1 / (8 * k + 0.5), 1.14 if k >= 2 else 2.4
+    while True:
+        a, level = 2 * uniform(state) - 1, uniform(state)
+        q = 1 - a * a
+        if w * a * a >= q:
+            continue
+        z = w * a * a / q
+        if level * most * q * np.sqrt(q) * (1 + z) < np.exp(-8 * k * z / (1 + z) ** 2):
+            return (1 - z) / (1 + z), 2 * np.copysign(np.sqrt(z), a) / (1 + z)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -155,39 +148,41 @@ def over_relaxed(
     across: np.ndarray,
     cosine: np.ndarray,
     sine: np.ndarray,
+    size: np.ndarray,
     normal: np.ndarray,
     level: np.ndarray,
+    count: int,
+    state: np.ndarray,
 ) -> None:
-    r"""Move angles that are von Mises about a mode, from 0: where they are then, as seen from the mode.
+    r"""One move of the first ``count`` angles, each with a von Mises density about a mode of its own.
 
-    ``along`` and ``across`` are k cos m and k sin m for the angle m of the mode: they become cos m and sin m, and
-    ``cosine`` and ``sine`` those of half the new angle ψ from the mode. The density
-    :math:`\propto e^{k\cos\psi}` of :math:`s=\sin(\psi/2)` is :math:`e^{-2ks^2}/\sqrt{1-s^2}`, nearly normal. As with
-    Adler's over-relaxation (1981) of a normal number, s is reflected about the mode, and moves in part to a new draw,
-    :math:`s' = -\alpha s + \sqrt{1-\alpha^2}\,z/2\sqrt k` with z from ``normal``. This Metropolis step is rejected once
-    in about 12k times, and then the angle is reflected. Where k < 1/2, a uniform angle takes the place of s'. ``level``
-    are uniform numbers in [0, 1).
+    Angles count from where they are. ``along`` and ``across`` are k cos m and k sin m for the angle m of the mode:
+    they become cos m and sin m, ``size`` becomes k, and ``cosine`` and ``sine`` those of half the new angle ψ from the
+    mode. The density :math:`\propto e^{k\cos\psi}` of :math:`s=\sin(\psi/2)` is :math:`e^{-2ks^2}/\sqrt{1-s^2}`, nearly
+    normal. As with Adler's over-relaxation (1981) of a normal number, s is reflected about the mode, and moves in part
+    to a new draw, :math:`s' = -\alpha s + \sqrt{1-\alpha^2}\,z/2\sqrt k` with z from ``normal``. The Metropolis step is
+    rejected about once in 12k times, decided by ``level``, uniform on [0, 1), and then the angle is reflected. It would
+    hardly leave the far side of the mode: angles with k < 10, and one in 32 of the others, are drawn anew instead.
     """
     for p in range(len(along)):
         a, b = along[p], across[p]
         k = np.sqrt(a * a + b * b)
         twice = np.sqrt(2 * k * (k + abs(a)))  # 2k times the larger of cos(m/2) and sin(m/2)
-        inverse = 1 / (k * twice) if twice > 0.0 else 0.0
+        inverse = 1 / (k * twice) if k > 1e-100 else 0.0
         shrink, larger, smaller = twice * inverse, twice * twice * inverse / 2, k * abs(b) * inverse
         # of m/2: as seen from the mode the angle is at -m, and reflected at m
         old_cosine, old = (larger, np.copysign(smaller, b)) if a >= 0.0 else (smaller, np.copysign(larger, b))
-        old_cosine = old_cosine if twice > 0.0 else 1.0
-        # the density of s over the proposal's is 1/√(1 - s²), and for uniform angles e^{k cos ψ}
-        spare = level[p] * _HALF - np.floor(level[p] * _HALF)  # the last 26 of 53 bits decide, the first propose
-        normal_step = OVER_RELAXATION * old + _RENEWAL / 2 * np.sqrt(shrink) * normal[p]
-        new = normal_step if k >= 0.5 else _sin(np.pi * (level[p] - 0.5))
+        new = OVER_RELAXATION * old + _RENEWAL / 2 * np.sqrt(shrink) * normal[p]
         square = max(1 - new * new, 0.0)
-        bar = level[p] * level[p] * square if abs(new) < 1.0 else 2.0
-        likelier = _exp(2 * min(k, 0.5) * (old * old - new * new))
-        passed = bar < old_cosine * old_cosine if k >= 0.5 else spare < likelier
-        along[p], across[p] = a * shrink if twice > 0.0 else 1.0, b * shrink
+        # the density of s over the proposal's is 1/√(1 - s²)
+        u = (level[p] - _FRESH) / (1 - _FRESH)
+        passed = (u * u * square if abs(new) < 1.0 else 2.0) < old_cosine * old_cosine
+        along[p], across[p], size[p] = a * shrink if k > 1e-100 else 1.0, b * shrink, k
         sine[p] = new if passed else old
         cosine[p] = np.sqrt(square) if passed else old_cosine
+    for p in range(count):
+        if size[p] < _CONCENTRATED or level[p] < _FRESH:
+            cosine[p], sine[p] = von_mises_half(size[p], state)
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})

@@ -18,8 +18,8 @@ import numba
 import numpy as np
 
 from fmsync.samplers.base import Target
-from fmsync.samplers.plane_rotations import half_angle, over_relaxed, plane_room, rotate_rows, rounds
-from fmsync.samplers.random_streams import LANES, fill, normals, uniform
+from fmsync.samplers.plane_rotations import over_relaxed, plane_room, rotate_rows, rounds
+from fmsync.samplers.random_streams import LANES, fill, normal, normals, uniform
 
 Pool = Callable[[Callable[[int, int], None], int], None]  # calls work on chains first .. last, of so many
 
@@ -135,6 +135,14 @@ def polar_factor_step(
             np.dot(maps[e], product, unprojected[k, e])
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _half_angle(cosine: float, sine: float) -> tuple[float, float]:
+    """Cosine and sine of half the angle in [-π, π] that has these."""
+    root = np.sqrt((1 + abs(cosine)) / 2)
+    other = abs(sine) / (2 * root)
+    return (root, np.copysign(other, sine)) if cosine >= 0.0 else (other, np.copysign(root, sine))
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def rotate_eigenvectors(
     rows: np.ndarray,
@@ -151,9 +159,9 @@ def rotate_eigenvectors(
     is von Mises about the direction of :math:`(\lambda_a-\lambda_b)\,((B_{aa}-B_{bb})/2, B_{ab})`. ``room`` is that of
     :func:`~fmsync.samplers.plane_rotations.plane_room`.
     """
-    (angles, normal, level), n, count = room, len(values), planes.shape[1]
-    along, across, cosine, sine, half, between = angles
-    normals(state, normal.reshape(-1, LANES))
+    (angles, normal_numbers, level), n, count = room, len(values), planes.shape[1]
+    along, across, cosine, sine, size, half, between = angles
+    normals(state, normal_numbers.reshape(-1, LANES))
     fill(state, level.reshape(-1, LANES))
     for r in range(len(planes)):
         for k in range(count):
@@ -165,9 +173,9 @@ def rotate_eigenvectors(
             between[k], half[k] = product, (diagonal[a] - diagonal[b]) / 2
             gap = (values[a] - values[b]) / sigma2
             along[k], across[k] = gap * half[k], gap * between[k]
-        over_relaxed(along, across, cosine, sine, normal[r * count :], level[r * count :])
+        over_relaxed(along, across, cosine, sine, size, normal_numbers[r * count :], level[r * count :], count, state)
         for k in range(count):  # half the angle of the mode comes on top
-            x, y = half_angle(along[k], across[k])
+            x, y = _half_angle(along[k], across[k])
             cosine[k], sine[k] = cosine[k] * x - sine[k] * y, sine[k] * x + cosine[k] * y
             a, b = planes[r, k, 0], planes[r, k, 1]
             middle = (diagonal[a] + diagonal[b]) / 2
@@ -238,7 +246,7 @@ def draw_sigma2(
     """
     scale = 1.0
     for _ in range(_SIGMA2_ROUNDS):
-        v = linear / constant + np.sqrt(sigma2 / constant) * _normal(state)
+        v = linear / constant + np.sqrt(sigma2 / constant) * normal(state)
         if v > 0 and uniform(state) * v < 1 and LEAST_SIGMA2 <= sigma2 / (v * v) <= LARGEST_SIGMA2:
             scale /= v
             quadratic, linear, sigma2 = quadratic / (v * v), linear / v, sigma2 / (v * v)
@@ -250,17 +258,12 @@ def draw_sigma2(
 
 
 @numba.njit(cache=True, nogil=True)
-def _normal(state: np.ndarray) -> float:
-    return np.sqrt(-2 * np.log(1 - uniform(state))) * np.cos(2 * np.pi * uniform(state))
-
-
-@numba.njit(cache=True, nogil=True)
 def _gamma(shape: float, state: np.ndarray) -> float:
     """Marsaglia & Tsang (2000), shape >= 1."""
     d = shape - 1 / 3
     c = 1 / np.sqrt(9 * d)
     while True:
-        z = _normal(state)
+        z = normal(state)
         v = (1 + c * z) ** 3
         if v > 0 and np.log(1 - uniform(state)) < z * z / 2 + d * (1 - v + np.log(v)):
             return d * v

@@ -63,10 +63,21 @@ def normals(state: np.ndarray, out: np.ndarray) -> None:
     fill(state, out)
     flat = out.reshape(-1)
     for p in range(len(flat)):
-        scaled = _LAYERS * flat[p]
-        layer = int(scaled)
-        x = (2 * (scaled - layer) - 1) * _ENDS[layer]
-        flat[p] = x if abs(x) < _ENDS[layer + 1] else _rare(state, layer, x)
+        flat[p] = _normal_of(flat[p], state)
+
+
+@numba.njit(cache=True, nogil=True)
+def normal(state: np.ndarray) -> float:
+    """One standard normal number."""
+    return _normal_of(uniform(state), state)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _normal_of(u: float, state: np.ndarray) -> float:
+    scaled = _LAYERS * u
+    layer = int(scaled)
+    x = (2 * (scaled - layer) - 1) * _ENDS[layer]
+    return x if abs(x) < _ENDS[layer + 1] else _rare(state, layer, x)
 
 
 @numba.njit(cache=True, nogil=True)

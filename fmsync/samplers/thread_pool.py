@@ -45,7 +45,7 @@ class ThreadPool:
         try:
             work(ends[0], ends[1])
         finally:
-            errors = [done.get() for _ in range(1, parts)]
+            errors = [_got(done) for _ in range(1, parts)]
         for error in errors:
             if error is not None:
                 raise error
@@ -61,6 +61,15 @@ def _serve(parts: "SimpleQueue[_Part | None]") -> None:
             error = raised
         done.put(error)
         del work, part, done, error  # what waits here must not keep the pool alive
+
+
+def _got(done: "SimpleQueue[BaseException | None]") -> BaseException | None:
+    """What the next part to end says, or Ctrl-C, if it came meanwhile."""
+    try:
+        return done.get()
+    except KeyboardInterrupt as interrupted:
+        done.get()
+        return interrupted
 
 
 def _end(parts: "SimpleQueue[_Part | None]", threads: int) -> None:
