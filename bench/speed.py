@@ -2,7 +2,8 @@
 
 ``python -m bench.speed`` measures each row at least five times, ours and its reference in turn, so that a machine whose
 speed changes meanwhile slows both. One thread, CPU seconds. ``python -m bench.speed large`` solves, once, a problem of
-a million maps; to make it takes 20 GB. ``... workers`` solves and draws in one process and in two, by the clock.
+a million maps; to make it takes 20 GB. ``... sweep`` is of the heat bath, and ``... workers`` solves and draws in one
+process and in two, by the clock.
 """
 
 import os
@@ -135,12 +136,13 @@ def steps() -> dict[str, float]:
     return paired(lambda: many.step(False), lambda: [alone.step(False) for _ in range(64)], 2 * RUNS)
 
 
-def sweeps() -> dict[str, float]:
+def sweep() -> dict[str, float]:
     """A sweep of the heat bath at N = 11, beside large products of as many operations as its sums over neighbours."""
     p = data_gen.perturb(data_gen.planted(11, N, rng=0), 0.2, 1)
     bath = HeatBath(Target(p, None, 8.1), fmsync.solve(p).absolute[None], np.random.default_rng(0))
     square, count = np.ones((1000, 1000)), 10 * round(2e8 / (4 * p.n_edges * N**3))  # whole tens, as it goes ahead
-    found = paired(lambda: [bath.step(False) for _ in range(count)], lambda: square @ square, 2 * RUNS)
+    with single_threaded_blas():
+        found = paired(lambda: [bath.step(False) for _ in range(count)], lambda: square @ square, 2 * RUNS)
     return found | {"ours": found["ours"] / count}
 
 
@@ -229,6 +231,9 @@ def main() -> None:
     if sys.argv[1:] == ["large"]:
         add_part(_TABLE, "large", large(), "python -m bench.speed large")
         return
+    if sys.argv[1:] == ["sweep"]:
+        add_part(_TABLE, "sweep", sweep() | {"versions": versions()}, "python -m bench.speed sweep")
+        return
     if sys.argv[1:] == ["workers"]:
         found = {"tasks": 8, "seconds": workers(8), "versions": versions()}
         add_part(_TABLE, "workers", found, "python -m bench.speed workers")
@@ -242,7 +247,6 @@ def main() -> None:
             "peer": paired(lambda: fmsync.solve(small), lambda: fmsync.solve(small, "mle-pymanopt")),
             "warm": warm(middle, problem(1000, noise=3)),
             "steps": steps(),
-            "sweeps": sweeps(),
             "mean": paired(lambda: so.frechet_mean(turns), lambda: logarithms_by_eigenvectors(turns)),
             "solves": [solves(problem(size)) for size in SIZES],
         }
