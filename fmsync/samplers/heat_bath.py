@@ -104,7 +104,7 @@ class HeatBath(Sampler):
     def step(self, warmup: bool) -> None:
         """A draw of κ and a sweep, or of other likelihoods a draw of their latent variables and two sweeps.
 
-        Small chains that wait for nothing go some steps ahead, because sharing out one step takes as long as the step;
+        Small chains that wait for nothing go some steps ahead, because to share out every single step takes long;
         ``state``, ``kappa`` and :meth:`energy` are those of the present one.
         """
         self._at += 1

@@ -161,7 +161,7 @@ def over_relaxed(
     mode. The density :math:`\propto e^{k\cos\psi}` of :math:`s=\sin(\psi/2)` is :math:`e^{-2ks^2}/\sqrt{1-s^2}`, nearly
     normal. As with Adler's over-relaxation (1981) of a normal number, s is reflected about the mode, and moves in part
     to a new draw, :math:`s' = -\alpha s + \sqrt{1-\alpha^2}\,z/2\sqrt k` with z from ``normal``. The Metropolis step is
-    rejected about once in 12k times, decided by ``level``, uniform on [0, 1), and then the angle is reflected. It would
+    rejected about once in 13k times, decided by ``level``, uniform on [0, 1), and then the angle is reflected. It would
     hardly leave the far side of the mode: angles with k < 10, and one in 32 of the others, are drawn anew instead.
     """
     for p in range(len(along)):

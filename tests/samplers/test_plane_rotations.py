@@ -119,6 +119,8 @@ def test_moves_leave_the_von_mises_density(k):
         fresh = 1 / 32 + 1 / (6 * k)  # in either case the angle does not remember in the usual way
         found = np.corrcoef(np.sin(before / 2), np.sin(after / 2))[0, 1]
         assert abs(found + plane_rotations.OVER_RELAXATION) < 4 / np.sqrt(count) + fresh
+        reflected = np.mean(np.abs(after + before) < 1e-12)  # what a rejected step leaves
+        assert abs(reflected * 13 * k - 1) < 0.1 + 4 * np.sqrt(13 * k / count)
     far = np.full(4000, np.pi)
     for _ in range(400):
         far = moved(far, k, rng, state)
