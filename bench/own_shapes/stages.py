@@ -12,7 +12,7 @@ from fmsync.adapters import from_pyvista, to_pyfm, to_pyvista
 from fmsync.functional_maps import nearest_rows
 from fmsync.matching import SyncedShapes, network, synchronize
 from fmsync.matching.confidence import samples_to_vertices
-from fmsync.matching.latent import upsample
+from fmsync.matching.latent import directions, upsample
 from fmsync.matching.pairwise import FINE, match, zoomout
 from fmsync.matching.samples import SampledShape, descriptors
 from fmsync.shape import Shape
@@ -36,12 +36,15 @@ class Evaluation:
     def images(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
         """(P,) vertices of j to which the evaluation vertices of i are sent.
 
-        Vertices are matched by functions that both shapes share, to which ``first`` (M, m_i) and ``second`` (M, m_j)
-        map their coefficients; without ``second`` by those of j, to which ``first`` = C_ij^T maps.
+        Vertices are matched by the directions of functions that both shapes share, to which ``first`` (M, m_i) and
+        ``second`` (M, m_j) map their coefficients; without ``second`` by the functions of j, to which ``first`` =
+        C_ij^T maps.
         """
         at_i = self.shapes[i].basis.eigenfunctions[self.vertices[i], : first.shape[1]] @ first.T
         at_j = self.shapes[j].basis.eigenfunctions[:, : len(first) if second is None else second.shape[1]]
-        return nearest_rows(at_i, at_j if second is None else at_j @ second.T)
+        if second is None:
+            return nearest_rows(at_i, at_j)
+        return nearest_rows(directions(at_i), directions(at_j @ second.T))
 
     def errors(self, i: int, j: int, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
         """(P,) distance on shape j from the :meth:`images` of the evaluation vertices of i to where they belong."""

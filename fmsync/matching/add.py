@@ -9,7 +9,7 @@ import numpy as np
 from fmsync import checks, so
 from fmsync.estimators import Estimate
 from fmsync.matching import synchronize as stages
-from fmsync.matching.latent import ROUNDS, map_from_values, rigid_bodies
+from fmsync.matching.latent import ROUNDS, directions, map_from_values, rigid_bodies
 from fmsync.matching.network import basis_signs, inlier_weights, robust_estimate
 from fmsync.matching.outliers import belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, match, zoomout
@@ -136,16 +136,15 @@ def _refined(synced: stages.SyncedShapes, new: SampledShape, others: np.ndarray,
     m, bodies = known.shape[-1], rigid_bodies([*old, new])
 
     def placed(grown: Sequence[np.ndarray]) -> np.ndarray:
-        u, _, vt = np.linalg.svd(sum(y @ c for y, c in zip(known, grown)), full_matrices=False)
-        return u @ vt
+        return np.mean([y @ c for y, c in zip(known, grown)], axis=0)
 
     with single_threaded_blas():
         *at, own = [s.sampled()[:, :m] for s in (*old, new)]
         *back, own_back = [np.linalg.pinv(phi) for phi in (*at, own)]
-        values = [phi @ y.T for phi, y in zip(at, known)]
+        values = [directions(phi @ y.T) for phi, y in zip(at, known)]
         latent = placed([zoomout(s, new, c[None], m, _STEP)[0][0] for s, c in zip(old, maps)])
         for step in range(ROUNDS if bodies else _SETTLE):
-            mine = own @ latent.T
+            mine = directions(own @ latent.T)
             if not bodies:
                 pairs = zip(at, back, values)
                 grown = [map_from_values((a, own), (b, own_back), (v, mine)) for a, b, v in pairs]

@@ -3,7 +3,8 @@ r"""Functions that all shapes of a collection share, from maps that need be neit
 Latent functions of a collection are what every map carries over: columns :math:`Y_i` of coefficients on every shape
 with :math:`C_{ij} Y_j \approx Y_i` (Wang et al. 2013). Unlike members of a group they may leave out directions that the
 shapes do not share, such as half of a pair of eigenfunctions that the cut at n separates, and they need no signs.
-Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020).
+Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020), divided by their norm: at
+the end of a limb they are large, and a small relative error would outweigh the distance to another limb.
 """
 
 import functools
@@ -29,7 +30,7 @@ _SHARED = 0.9  # of the directions are kept, the most consistent ones
 _DENSE_UP_TO = 4000  # matrix size
 _GROWN = 20  # functions from which maps grow: beyond them a pair's map is less right than what the others make of it
 _STEP, _SETTLE = 5, 2  # functions that each step adds, and steps at the final size
-ROUNDS = 6  # of samples that move rigidly
+ROUNDS = 8  # of samples that move rigidly
 _JUDGES, _CLEAR = 300, 0.05  # samples whose distances tell if rigid motion did harm: a clearly larger change does
 
 
@@ -88,16 +89,16 @@ def upsample(
     jobs: int = 1,
     progress: bool = False,
 ) -> np.ndarray:
-    """Latent maps (N, M, ``size``) with orthonormal rows, from maps (E, k, k), k <= ``size``, of the pairs (E, 2).
+    """Latent maps (N, M, ``size``) from maps (E, k, k), k <= ``size``, of the pairs (E, 2).
 
-    Points are matched by latent functions, and least-squares maps of the pairs give the next latent functions, again
-    those on which all agree: a pair's error does not grow. If all shapes are meshes this is done six times at the full
-    size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`), by turns from i to j and from
-    j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of both directions the one whose
-    map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were ``given`` may be poor, or
-    between mirrored meshes, which are reflected: those of meshes grow first, and what comes of moving samples is
-    returned unless it keeps distances clearly worse. Maps that grow start with 20 functions at most. With orthonormal
-    rows relative maps are exactly consistent. Pairs are matched in ``jobs`` threads, at most one a core.
+    Points are matched by the :func:`directions` of latent functions, and least-squares maps of the pairs give the next
+    latent functions, again those on which all agree: a pair's error does not grow. If all shapes are meshes this is
+    done eight times at the full size, and matched samples move as rigidly as possible (:mod:`fmsync.matching.rigid`),
+    by turns from i to j and from j to i. If one is a point cloud, or ``fast``, maps grow step by step instead, and of
+    both directions the one whose map is nearer to orthogonal stands for the pair (Huang et al. 2020). Maps that were
+    ``given`` may be poor, or between mirrored meshes, which are reflected: those of meshes grow first, and what comes
+    of moving samples is returned unless it keeps distances clearly worse. Maps that grow start with 20 functions at
+    most. Pairs are matched in ``jobs`` threads, at most one a core.
     """
     bodies = [] if fast else rigid_bodies(shapes)
     growing = []
@@ -113,7 +114,7 @@ def upsample(
 
     def matched(latent: np.ndarray, m: int, step: int) -> np.ndarray:
         at, back = at_samples(m)
-        values = [phi[:, : y.shape[1]] @ y.T for phi, y in zip(at, latent)]  # (S, M) of the latent functions
+        values = [directions(phi[:, : y.shape[1]] @ y.T) for phi, y in zip(at, latent)]  # (S, M)
 
         def rigid(i: int, j: int) -> np.ndarray:
             return rigid_map((bodies[i], bodies[j]), back[i], shapes[j], (values[i], values[j]), given)
@@ -139,17 +140,25 @@ def upsample(
         for step, m in enumerate(steps, start=1):
             latent = latent_maps(len(shapes), edges, matched(latent, m, step))
             if step in (len(growing), len(steps)):
-                u, _, vt = np.linalg.svd(latent, full_matrices=False)
-                found.append(u @ vt)
+                found.append(latent)
         if len(found) == 1:
             return found[0]
         grown, moved = (_distortion(shapes, edges, y) for y in found)
         return found[int(moved < (1 + _CLEAR) * grown)]
 
 
+def directions(values: np.ndarray) -> np.ndarray:
+    """Values (V, M) of functions divided by their norms at every vertex.
+
+    >>> directions(np.array([[3.0, 4.0]]))
+    array([[0.6, 0.8]])
+    """
+    return values / np.linalg.norm(values, axis=1, keepdims=True)
+
+
 def _distortion(shapes: Sequence[SampledShape], edges: np.ndarray, latent: np.ndarray) -> float:
     """Mean absolute change of the distances between some samples, over the pairs."""
-    values = [s.sampled(_JUDGES)[:, : y.shape[1]] @ y.T for s, y in zip(shapes, latent)]
+    values = [directions(s.sampled(_JUDGES)[:, : y.shape[1]] @ y.T) for s, y in zip(shapes, latent)]
     each = (geodesic_distortion(shapes[i], shapes[j], nearest_rows(values[i], values[j])) for i, j in edges)
     return float(np.mean(list(each)))
 
@@ -162,7 +171,7 @@ def rigid_bodies(shapes: Sequence[SampledShape]) -> list[RigidSamples]:
 def map_from_values(at: Sequence[np.ndarray], back: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> np.ndarray:
     """C_ij (m, m) of samples matched by values of shared functions, in the direction that is nearer to orthogonal.
 
-    Of i and j each: basis functions at samples (S, m), their pseudo-inverses, and the values (S, M).
+    Of i and j each: basis functions at samples (S, m), their pseudo-inverses, and the values (S, M), as directions.
     """
     first, second = (x.astype(np.float32) for x in values)  # enough to tell which sample is nearest
     there, again = nearest_rows(first, second), nearest_rows(second, first)

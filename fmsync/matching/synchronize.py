@@ -17,13 +17,14 @@ from tqdm import tqdm
 
 from fmsync import checks, so
 from fmsync.estimators import Estimate
+from fmsync.estimators.base import nearest
 from fmsync.files import replacing
 from fmsync.functional_maps import nearest_rows_unchecked as nearest_rows
 from fmsync.functional_maps import vertex_images
 from fmsync.matching import network
 from fmsync.matching.confidence import Confidence, confidence, draw_images
 from fmsync.matching.given_maps import Maps, best_of_pairs, checked_maps, given_matches
-from fmsync.matching.latent import upsample
+from fmsync.matching.latent import directions, upsample
 from fmsync.matching.outliers import among, belonging, spectral_distances
 from fmsync.matching.pairwise import FINE, PairMatch, improve, match
 from fmsync.matching.samples import SampledShape, sample_shape
@@ -47,9 +48,9 @@ class SyncedShapes:
     ``shapes`` are N sampled shapes, of unit area when small holes are closed; ``edges`` (E, 2) pairs and ``matches``
     their maps, from descriptors or as they were given, with ``map_names`` then; ``signs`` (N,) ±1 of the last function
     of each; ``problem``, ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust answer, and draws
-    (None if none were asked for). ``refined`` (N, M, m) are maps with orthonormal rows from the refined bases to M <= m
-    functions that all shapes share: points are matched by the values of those, and relative maps are
-    ``refined[i].T @ refined[j]``. ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of
+    (None if none were asked for). ``refined`` (N, M, m) are maps from the refined bases to M <= m functions that all
+    shapes share, with the less weight the less a shape has of them: points are matched by :meth:`shared_functions`.
+    ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of
     least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the rest, whether they were
     left out or are among ``shapes``.
     """
@@ -92,7 +93,8 @@ class SyncedShapes:
 
         Or (n_i, n_j) between other ``bases`` of these shapes, such as those that came with given maps.
         """
-        c = self.refined[i].T @ self.refined[j]
+        first, second = nearest(self.refined[[i, j]], "O")  # with orthonormal rows, so that cycles close
+        c = first.T @ second
         if bases is None:
             return c
         ours = [self.shapes[k].basis.truncated(len(c)) for k in (i, j)]
@@ -100,11 +102,11 @@ class SyncedShapes:
 
     @checks.checked(i="< N", vertices="K < V")
     def shared_functions(self, i: int, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """(V_i, M) values of the functions by which points are matched, at some vertices of shape i."""
+        """(V_i, M) unit vectors by which points are matched: directions of the shared functions' values at vertices."""
         if not isinstance(vertices, slice):
             checks.indices("vertices", vertices, self.shapes[i].basis.n_vertices)
         functions = self.shapes[i].basis.eigenfunctions[vertices, : self.refined.shape[-1]]
-        return functions @ self.refined[i].T.astype(functions.dtype)
+        return directions(functions @ self.refined[i].T.astype(functions.dtype))
 
     @checks.checked(i="< N", j="< N")
     def sample_images(self, i: int, j: int) -> np.ndarray:

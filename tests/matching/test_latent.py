@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fmsync import so
+from fmsync.functional_maps import nearest_rows
 from fmsync.matching import latent
 
 COUNT, SIZE = 6, 10
@@ -42,6 +43,14 @@ def test_consistent_maps_come_back_on_the_directions_they_share(rng):
     assert y.shape == (COUNT, 9, SIZE)
     np.testing.assert_allclose(so.transpose(y[EDGES[:, 0]]) @ y[EDGES[:, 1]], maps, atol=1e-9)
     np.testing.assert_allclose(cost(y, maps, np.ones(len(EDGES))), 0, atol=1e-18)
+
+
+def test_directions_match_points_whose_values_are_larger_on_one_shape(rng):
+    values = rng.standard_normal((300, 5)) * np.geomspace(1, 10, 300)[:, None]  # large ones as at the end of a limb
+    larger = values * rng.uniform(0.7, 1.3, (300, 1))
+    nearest = nearest_rows(latent.directions(larger), latent.directions(values))
+    np.testing.assert_array_equal(nearest, np.arange(300))
+    assert (nearest_rows(larger, values) != np.arange(300)).any()
 
 
 def test_no_other_frame_costs_less(rng):
