@@ -136,7 +136,9 @@ def _refined(synced: stages.SyncedShapes, new: SampledShape, others: np.ndarray,
     m, bodies = known.shape[-1], rigid_bodies([*old, new])
 
     def placed(grown: Sequence[np.ndarray]) -> np.ndarray:
-        return np.mean([y @ c for y, c in zip(known, grown)], axis=0)
+        maps = np.array(grown)  # from the new shape; given the others' maps the cost of latent_maps is least squares
+        squares = (so.transpose(maps) @ maps + np.eye(m)).sum(axis=0)
+        return np.linalg.solve(squares, 2 * (so.transpose(maps) @ so.transpose(known)).sum(axis=0)).T
 
     with single_threaded_blas():
         *at, own = [s.sampled()[:, :m] for s in (*old, new)]

@@ -3,8 +3,9 @@ r"""Functions that all shapes of a collection share, from maps that need be neit
 Latent functions of a collection are what every map carries over: columns :math:`Y_i` of coefficients on every shape
 with :math:`C_{ij} Y_j \approx Y_i` (Wang et al. 2013). Unlike members of a group they may leave out directions that the
 shapes do not share, such as half of a pair of eigenfunctions that the cut at n separates, and they need no signs.
-Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020), divided by their norm: at
-the end of a limb they are large, and a small relative error would outweigh the distance to another limb.
+Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020), divided by their norm, as
+in spectral clustering (Ng et al. 2001): where skins stretch, the values at the end of a limb differ in size, and small
+ones are near small ones at the end of any other limb.
 """
 
 import functools

@@ -121,7 +121,7 @@ def rigid_map(
     """C_ij (m, m) of the samples of i, matched by values of shared functions and moved as rigidly as possible.
 
     ``back`` (m, S) is the pseudo-inverse of the basis at the samples of i, ``second`` is shape j, and ``values`` are
-    those at the samples of i (S, M) and of j.
+    those at the samples of i (S, M) and of j, or their directions.
     """
     near = bodies[1].samples[nearest_rows(*(x.astype(np.float32) for x in values))]
     return back @ second.basis.eigenfunctions[rigid_images(*bodies, near, mirrored), : len(back)]

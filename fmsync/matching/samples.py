@@ -87,7 +87,7 @@ def sample_shape(
     closed = Shape(shape.vertices, closed.faces)
     try:
         basis = basis or laplace_beltrami(shape.vertices, closed.faces, n_basis)
-        basis = replace(basis, eigenfunctions=basis.eigenfunctions.astype(float))
+        basis = replace(basis, eigenfunctions=basis.eigenfunctions.astype(float, copy=False))
     except ValueError as error:
         raise ValueError(f"{shape.name}: {error}") from error
     landmarks = np.empty(0, dtype=int) if landmarks is None else np.asarray(landmarks)

@@ -49,10 +49,10 @@ class SyncedShapes:
     their maps, from descriptors or as they were given, with ``map_names`` then; ``signs`` (N,) ±1 of the last function
     of each; ``problem``, ``estimate`` and ``posterior`` the n x n synchronisation problem, its robust answer, and draws
     (None if none were asked for). ``refined`` (N, M, m) are maps from the refined bases to M <= m functions that all
-    shapes share, with the less weight the less a shape has of them: points are matched by :meth:`shared_functions`.
-    ``used`` (U,) are the edges whose maps carry points: all, or of given maps those of
-    least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the rest, whether they were
-    left out or are among ``shapes``.
+    shapes share, whose values match points (:meth:`shared_functions`); rows are not orthonormal, and a function that a
+    shape hardly has counts little there. ``used`` (U,) are the edges whose maps carry points: all, or of given maps
+    those of least cost of each pair that are trusted. ``outliers`` names the shapes that are unlike the rest, whether
+    they were left out or are among ``shapes``.
     """
 
     shapes: tuple[SampledShape, ...]
@@ -91,6 +91,7 @@ class SyncedShapes:
     def functional_map(self, i: int, j: int, bases: Sequence[Basis] | None = None) -> np.ndarray:
         """Synchronised map C_ij of rank M, (m, m) in the bases of ``shapes``, whose signs are ours.
 
+        A product of factors with orthonormal rows, so that cycles close; :meth:`point_map` is the better point map.
         Or (n_i, n_j) between other ``bases`` of these shapes, such as those that came with given maps.
         """
         first, second = nearest(self.refined[[i, j]], "O")  # with orthonormal rows, so that cycles close

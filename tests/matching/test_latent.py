@@ -46,7 +46,7 @@ def test_consistent_maps_come_back_on_the_directions_they_share(rng):
 
 
 def test_directions_match_points_whose_values_are_larger_on_one_shape(rng):
-    values = rng.standard_normal((300, 5)) * np.geomspace(1, 10, 300)[:, None]  # large ones as at the end of a limb
+    values = rng.standard_normal((300, 5)) * np.geomspace(1, 10, 300)[:, None]  # of many sizes, as at ends of limbs
     larger = values * rng.uniform(0.7, 1.3, (300, 1))
     nearest = nearest_rows(latent.directions(larger), latent.directions(values))
     np.testing.assert_array_equal(nearest, np.arange(300))
