@@ -149,8 +149,8 @@ def stage_errors(seen: Observed, shapes: list[Creature]) -> tuple[dict[str, floa
     start = np.array([bound[i, j][:FINE, :FINE] for i, j in edges.tolist()])  # as good as fifty functions can be
     latent = upsample(synced.shapes, edges, start, m)
     errors = {name: evaluation.mean(pairs, lambda i, j, found=found: found[i, j]) for name, found in maps.items()}
-    named = np.mean([evaluation.errors(i, j, latent[i], latent[j]) for i, j in pairs])
-    return {"ours": float(np.mean(seen.errors)), **errors, "ours from the true first 50": float(named)}, seconds
+    from_truth = np.mean([evaluation.errors(i, j, latent[i], latent[j]) for i, j in pairs])
+    return {"ours": float(np.mean(seen.errors)), **errors, "ours from the true first 50": float(from_truth)}, seconds
 
 
 def true_map(first: Creature, second: Creature, phi: np.ndarray, psi: np.ndarray) -> np.ndarray:

@@ -135,8 +135,8 @@ def _refined(synced: stages.SyncedShapes, new: SampledShape, others: np.ndarray,
     known, old = synced.refined[others], [synced.shapes[k] for k in others]
     m, bodies = known.shape[-1], rigid_bodies([*old, new])
 
-    def placed(grown: Sequence[np.ndarray]) -> np.ndarray:
-        maps = np.array(grown)  # from the new shape; given the others' maps the cost of latent_maps is least squares
+    def placed(grown: Sequence[np.ndarray]) -> np.ndarray:  # minimises the cost of latent_maps, with equal weights
+        maps = np.array(grown)  # from the new shape
         squares = (so.transpose(maps) @ maps + np.eye(m)).sum(axis=0)
         return np.linalg.solve(squares, 2 * (so.transpose(maps) @ so.transpose(known)).sum(axis=0)).T
 

@@ -4,8 +4,8 @@ Latent functions of a collection are what every map carries over: columns :math:
 with :math:`C_{ij} Y_j \approx Y_i` (Wang et al. 2013). Unlike members of a group they may leave out directions that the
 shapes do not share, such as half of a pair of eigenfunctions that the cut at n separates, and they need no signs.
 Points are compared by the values of these functions (Consistent ZoomOut, Huang et al. 2020), divided by their norm, as
-in spectral clustering (Ng et al. 2001): where skins stretch, the values at the end of a limb differ in size, and small
-ones are near small ones at the end of any other limb.
+in spectral clustering (Ng et al. 2001): where poses lengthen skin, values at the end of a limb differ in size, and
+small ones are near small ones at the end of any other limb.
 """
 
 import functools

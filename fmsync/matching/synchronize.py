@@ -94,7 +94,7 @@ class SyncedShapes:
         A product of factors with orthonormal rows, so that cycles close; :meth:`point_map` is the better point map.
         Or (n_i, n_j) between other ``bases`` of these shapes, such as those that came with given maps.
         """
-        first, second = nearest(self.refined[[i, j]], "O")  # with orthonormal rows, so that cycles close
+        first, second = nearest(self.refined[[i, j]], "O")
         c = first.T @ second
         if bases is None:
             return c
