@@ -70,7 +70,7 @@ def block_lanczos(
                 rows, _ = orthonormal_rows(rows)
 
             full = depth is not None and used == depth * block
-            if full or (used >= 2 * k and used // block % 2 == 0):
+            if full or (used >= 2 * k and (depth is not None or used // block % 2 == 0)):
                 values, combination = np.linalg.eigh(projected, UPLO="U")
                 values, combination = values[::-1][:k], combination[:, ::-1][:, :k]  # (k,), (used, k)
                 residual = np.linalg.norm(scale @ combination[-block:], axis=0)
@@ -82,13 +82,16 @@ def block_lanczos(
 
 
 def orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal rows and the triangle R with rows = R^T q: Cholesky twice, or QR near rank loss."""
+    """Orthonormal rows and the triangle R with rows = R^T q: Cholesky, twice for skew rows, or QR near rank loss."""
     size = np.sqrt((rows * rows).sum(axis=1))
     gram = rows @ rows.T
-    if not (size.min() > 0 and np.linalg.eigvalsh(gram / np.outer(size, size))[0] > 1e-4):
+    least = np.linalg.eigvalsh(gram / np.outer(size, size))[0] if size.min() > 0 else 0.0
+    if not least > 1e-4:
         q, r = np.linalg.qr(rows.T)
         return q.T, r
     triangle = np.linalg.cholesky(gram)  # (b, b), so its inverse is cheap and well conditioned here
     q = np.linalg.inv(triangle) @ rows
+    if least > 0.1:
+        return q, triangle.T
     again = np.linalg.cholesky(q @ q.T)
     return np.linalg.inv(again) @ q, (triangle @ again).T

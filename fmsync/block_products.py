@@ -100,7 +100,10 @@ def _fetch(context: Any, array: Any, k: Any, size: Any) -> Any:
 
 
 def _product_code(builder: Any, operands: Any) -> None:
-    """Tiles of three vectors of columns, of two, one, half a vector, ... for the rest; of four rows, then of one."""
+    """Tiles of three vectors of columns, of two, one, half a vector, ... for the rest; of four rows, then of one.
+
+    Those narrower than a vector have eight rows first: a sum waits for its last addition, and four are too few to wait.
+    """
     *_, (rows, _, columns), weight = operands
     index = rows.type
     lanes = _BITS // (32 if isinstance(weight.type, ir.FloatType) else 64)
@@ -111,7 +114,9 @@ def _product_code(builder: Any, operands: Any) -> None:
         width = index(sum(tile))
         end = builder.sub(columns, builder.srem(builder.sub(columns, column), width))
         with cgutils.for_range_slice(builder, column, end, width, index) as (first, _):
-            for n_rows, top, bottom in ((_TILE_ROWS, index(0), whole), (1, whole, rows)):
+            eights = builder.sub(rows, builder.srem(rows, index(2 * _TILE_ROWS))) if sum(tile) < lanes else index(0)
+            groups = (2 * _TILE_ROWS, index(0), eights), (_TILE_ROWS, eights, whole), (1, whole, rows)
+            for n_rows, top, bottom in groups:
                 with cgutils.for_range_slice(builder, top, bottom, index(n_rows), index) as (row, _):
                     _tile_code(builder, operands, [row, first], n_rows, tile)
         column = end

@@ -1,4 +1,4 @@
-r"""Compiled parts of the logarithm of rotations: a series near the identity, square roots for the rest.
+r"""Compiled parts of logarithms and projections: a series near the identity, polar factors.
 
 One matrix at a time, so that its powers stay in the cache.
 """
@@ -78,5 +78,5 @@ def newton_schulz(x: np.ndarray, least: float, steps: int, last: np.ndarray) -> 
             here, there = there, here
         flat[:] = here
         for a in range(n * n):
-            worst = max(worst, abs(factor[a] - (a % (n + 1) == 0)))
+            worst = np.maximum(worst, abs(factor[a] - (a % (n + 1) == 0)))  # NaN stays
         last[k] = worst

@@ -17,6 +17,8 @@ from fmsync.log_kernels import log_series, newton_schulz
 
 # Square roots are good to rounding after so many steps where no cos θ/2 is below: no angle within 1e-3 of π.
 _LEAST_COSINE, _ROOT_STEPS = 5e-4, 13
+# Polar factors, where no singular value is below so much of the Frobenius norm.
+_LEAST_SINGULAR, _POLAR_STEPS = 0.01, 10
 
 # θ / sin θ as a polynomial of x = sin²(θ/2) <= 1/2, to rounding: its nearest singularity is at x = 1.
 _SERIES_REACH = 0.5
@@ -63,9 +65,16 @@ def project(a: np.ndarray) -> np.ndarray:
            [0., 1., 0.],
            [0., 0., 1.]])
     """
-    u, _, vt = np.linalg.svd(a)
-    u[..., :, -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return u @ vt
+    flat = a.reshape(-1, *a.shape[-2:])
+    largest = np.abs(flat).max(axis=(1, 2), keepdims=True, initial=0)
+    flat = flat / np.where(largest > 0, largest, 1)
+    norms = np.linalg.norm(flat, axis=(1, 2), keepdims=True)
+    found, good = _polar(flat / np.maximum(norms, 1), _LEAST_SINGULAR, _POLAR_STEPS)
+    rest = np.flatnonzero(~good | (np.linalg.det(found) < 0))
+    u, _, vt = np.linalg.svd(flat[rest])
+    u[:, :, -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    found[rest] = u @ vt
+    return found.reshape(a.shape)
 
 
 @checks.checked(a="... n n")
@@ -141,9 +150,14 @@ def _square_roots(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     :math:`(I + R)/2` is :math:`R^{1/2}` times a symmetric matrix whose eigenvalues are cos θ/2: its polar factor.
     """
-    roots, last = np.ascontiguousarray(r + np.eye(r.shape[-1])) / 2, np.empty(len(r))
-    newton_schulz(roots, _LEAST_COSINE, _ROOT_STEPS, last)
-    return roots, last < 1e-8  # one more step would do nothing
+    return _polar((r + np.eye(r.shape[-1])) / 2, _LEAST_COSINE, _ROOT_STEPS)
+
+
+def _polar(a: np.ndarray, least: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Polar factors of (B, n, n), and which of them are good: those of matrices with singular values in [least, 1]."""
+    factors, last = np.array(a, dtype=float, order="C"), np.empty(len(a))
+    newton_schulz(factors, least, steps, last)
+    return factors, last < 1e-8  # one more step would do nothing
 
 
 def _log_schur(r: np.ndarray) -> np.ndarray:

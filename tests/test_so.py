@@ -77,6 +77,20 @@ class TestRetractions:
         np.testing.assert_allclose(so.cayley(omega) @ so.cayley(-omega), np.eye(8), atol=1e-12)
         np.testing.assert_allclose(so.cayley(omega).T @ so.cayley(omega), np.eye(8), atol=1e-12)
 
+    @pytest.mark.parametrize("scale", [1e-200, 1.0, 1e150])
+    def test_projection_matches_singular_vectors(self, rng, scale):
+        a = rng.standard_normal((40, 6, 6)) + 3 * np.eye(6)  # of both kinds: products will do, or not
+        a[:10, 0] *= -1  # reflections
+        a[10:20, 0] *= 1e-7  # nearly singular
+        u, _, vt = np.linalg.svd(a)
+        u[:, :, -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        np.testing.assert_allclose(so.project(scale * a), u @ vt, atol=1e-13)
+
+    def test_projection_of_zeros_is_a_rotation_and_nan_is_an_error(self):
+        np.testing.assert_array_equal(so.project(np.zeros((2, 3, 3))), np.stack([np.eye(3)] * 2))
+        with np.errstate(invalid="ignore"), pytest.raises(np.linalg.LinAlgError):
+            so.project_unchecked(np.full((1, 3, 3), np.nan))
+
     def test_tangent_projection(self, rng):
         c, v = so.random_uniform(5, 3, rng), rng.standard_normal((3, 5, 5))
         p = so.tangent(c, v)

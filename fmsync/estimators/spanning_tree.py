@@ -8,6 +8,7 @@ from fmsync import checks
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
 from fmsync.problem import SyncProblem
+from fmsync.so import transpose
 
 
 @estimator("spanning-tree")
@@ -17,17 +18,25 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
 
     ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
     """
-    heaviest = {frozenset(problem.edges[e].tolist()): e for e in np.argsort(problem.weights, kind="stable")}
-    adjacency = sp.coo_array((np.ones(problem.n_edges), problem.edges.T), shape=(problem.n_nodes, problem.n_nodes))
-    order, parents = breadth_first_order((adjacency + adjacency.T).tocsr().sorted_indices(), 0)
-    maps = nearest(problem.maps, group)
-    absolute = np.zeros((problem.n_nodes, problem.n, problem.n))
-    absolute[0] = np.eye(problem.n)
-    for child in order[1:].tolist():
-        parent = int(parents[child])
-        e = heaviest[frozenset((parent, child))]
-        forward = problem.edges[e, 0] == parent
-        absolute[child] = absolute[parent] @ (maps[e] if forward else maps[e].T)
-    estimate = Estimate.from_absolute(problem, absolute, "spanning-tree", group)
+    estimate = Estimate.from_absolute(problem, along_tree(problem, group), "spanning-tree", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
     return estimate
+
+
+def along_tree(problem: SyncProblem, group: str) -> np.ndarray:
+    """What the estimator answers, (N, n, n) with C_1 = I."""
+    n_nodes = problem.n_nodes
+    pairs = np.sort(problem.edges, axis=1) @ [n_nodes, 1]  # (E,)
+    by_weight = np.argsort(problem.weights, kind="stable")
+    heaviest = dict(zip(pairs[by_weight].tolist(), by_weight.tolist()))  # the last of a pair stays
+    adjacency = sp.coo_array((np.ones(problem.n_edges), problem.edges.T), shape=(n_nodes, n_nodes))
+    order, parents = breadth_first_order((adjacency + adjacency.T).tocsr().sorted_indices(), 0)
+    children, parents = order[1:], parents[order[1:]]
+    links = np.sort(np.stack([children, parents], axis=1), axis=1) @ [n_nodes, 1]  # (N - 1,)
+    used = [heaviest[link] for link in links.tolist()]
+    maps, forward = nearest(problem.maps[used], group), problem.edges[used, 0] == parents
+    absolute = np.zeros((n_nodes, problem.n, problem.n))
+    absolute[0] = np.eye(problem.n)
+    for child, parent, step in zip(children, parents, np.where(forward[:, None, None], maps, transpose(maps))):
+        absolute[child] = absolute[parent] @ step
+    return absolute

@@ -8,10 +8,12 @@ from fmsync.block_krylov import block_lanczos, orthonormal_rows
 from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import transposed_sums_unchecked as transposed_sums
 from fmsync.estimators.base import GROUPS, Callback, Estimate, estimator, nearest
+from fmsync.estimators.spanning_tree import along_tree
 from fmsync.problem import SyncProblem
 
 _BLOCKS_FROM = 600  # matrix size above which a block iteration beats the dense eigensolver
 _DEPTH, _CYCLES = 12, 8  # products before a restart, which store as many blocks; and how many restarts
+_ANY = 0.1  # of the start of a block iteration: a random part
 _SINGLE_FROM = 1e-3  # residual that single precision reaches easily
 
 
@@ -49,7 +51,11 @@ def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, to
             sums = transposed_sums(problem, (rough * x).reshape(n_nodes, n, n), maps).reshape(size, n)
             return rough * sums.astype(precision, copy=False)
 
-        start, _ = orthonormal_rows(rng.standard_normal((size, n)).astype(precision).T)
+        # Maps along a tree are near the eigenvectors: half of the products that a random start takes. A little of one
+        # makes sure that no eigenvector is missing, however symmetric the problem.
+        tree = along_tree(problem, group).transpose(1, 0, 2).reshape(n, size) / scale  # (n, N n)
+        parts = [orthonormal_rows(part.astype(precision))[0] for part in (tree, rng.standard_normal((n, size)))]
+        start, _ = orthonormal_rows(parts[0] + _ANY * parts[1])
         # past the recovery threshold there is no gap to converge by: the best there is
         frame = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)[1].T
     blocks = so.transpose(frame.astype(float).reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]

@@ -8,7 +8,7 @@ from fmsync.estimators.base import GROUPS, Estimate, nearest
 from fmsync.estimators.spectral import spectral_maps
 from fmsync.problem import SyncProblem
 
-_ROUGH = 0.06  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
+_ROUGH = 0.03  # residual of the eigenvectors that a start is made of: an optimiser does the rest faster
 
 
 @checks.checked(group=GROUPS)
