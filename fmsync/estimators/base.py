@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from fmsync import checks, so
+from fmsync.block_products import products
 from fmsync.bounds import effective_resistance
 from fmsync.energy import energy_unchecked as energy
 from fmsync.problem import SyncProblem
@@ -27,10 +28,10 @@ _ROUNDING = 1e-8  # how far from orthogonal one Newton–Schulz step brings back
 
 
 def nearest(a: np.ndarray, group: str) -> np.ndarray:
-    """Nearest member of the group to every (..., n, n): for "O" the polar factor, also of (..., r, n)."""
-    rest = so.transpose(a) @ a - np.eye(a.shape[-1])
+    """Nearest member of the group to every (B, n, n): for "O" the polar factor, also of (B, r, n)."""
+    rest = products(a, a, transposed=True) - np.eye(a.shape[-1])
     if np.abs(rest).max(initial=0) < _ROUNDING and (group == "O" or (np.linalg.det(a) > 0).all()):
-        return a - a @ rest / 2
+        return a - products(a, rest) / 2
     if group == "SO":
         return so.project_unchecked(a)
     u, _, vt = np.linalg.svd(a, full_matrices=False)
@@ -105,7 +106,8 @@ class Estimate:
         """An estimate on the group: rounding taken off, gauge C_1 = I, Euclidean energy as its cost unless given."""
         absolute = fix_gauge(nearest(absolute, group))
         absolute[0] = np.eye(problem.n)
-        fields.setdefault("cost", float(energy(problem, absolute)))
+        if "cost" not in fields:
+            fields["cost"] = float(energy(problem, absolute))
         return cls(problem, method, absolute, **fields)
 
     @checks.checked(edges="K 2 < N")

@@ -11,6 +11,7 @@ from fmsync.estimators.trust_region import Rotations, minimise
 from fmsync.problem import SyncProblem
 
 _TOLERANCE = 1e-6
+_DIGITS_LEFT = 1e-4  # a cost that is so much of the constant in it has lost four of sixteen digits
 
 
 @estimator("mle")
@@ -48,7 +49,10 @@ def mle(
     start = starting_point(problem, init, rng, group)  # before the model: each has a copy of the maps
     found = minimise(Rotations(problem), start, tolerance=goal, max_iterations=max_iterations, callback=callback)
     absolute, converged, trace = found
-    return Estimate.from_absolute(problem, absolute, "mle", group, converged=converged, trace=trace)
+    exact = trace.cost[-1] > _DIGITS_LEFT * problem.constant  # else a small difference of large numbers
+    cost = {"cost": float(trace.cost[-1])} if exact else {}
+    # "O" for both groups: the steps have kept the determinants of the start
+    return Estimate.from_absolute(problem, absolute, "mle", "O", converged=converged, trace=trace, **cost)
 
 
 def _tenth_of_noise(problem: SyncProblem, cost: float) -> float:

@@ -51,15 +51,22 @@ def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, to
             sums = transposed_sums(problem, (rough * x).reshape(n_nodes, n, n), maps).reshape(size, n)
             return rough * sums.astype(precision, copy=False)
 
-        # Maps along a tree are near the eigenvectors: half of the products that a random start takes. A little of one
-        # makes sure that no eigenvector is missing, however symmetric the problem.
-        tree = along_tree(problem, group).transpose(1, 0, 2).reshape(n, size) / scale  # (n, N n)
-        parts = [orthonormal_rows(part.astype(precision))[0] for part in (tree, rng.standard_normal((n, size)))]
-        start, _ = orthonormal_rows(parts[0] + _ANY * parts[1])
+        start = _rough_eigenvectors(problem, rng, group, scale).astype(precision)
         # past the recovery threshold there is no gap to converge by: the best there is
         frame = block_lanczos(multiply, start, n, lambda values: np.full(n, tolerance), _DEPTH, _CYCLES)[1].T
     blocks = so.transpose(frame.astype(float).reshape(n_nodes, n, n)) / scale.reshape(n_nodes, n)[:, :1, None]
     return nearest(common_orientation(blocks) if group == "SO" else blocks, group)  # up to one frame
+
+
+def _rough_eigenvectors(problem: SyncProblem, rng: np.random.Generator, group: str, scale: np.ndarray) -> np.ndarray:
+    """Orthonormal rows (n, N n): the maps along a tree, which save half of the products that a random start takes.
+
+    A little of a random start makes sure that no eigenvector is missing, however symmetric the problem.
+    """
+    size = len(scale)
+    tree, _ = orthonormal_rows(along_tree(problem, group).transpose(1, 0, 2).reshape(-1, size) / scale)
+    anything, _ = orthonormal_rows(rng.standard_normal(tree.shape))
+    return orthonormal_rows(tree + _ANY * anything)[0]
 
 
 def common_orientation(blocks: np.ndarray) -> np.ndarray:
