@@ -79,10 +79,12 @@ def test_ctrl_c_while_the_caller_waits_waits_for_the_other_thread(monkeypatch):
             finished.append(last)
 
     gc.disable()  # what is raised in a callback of the collector, such as hypothesis has, is lost
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C
     try:
         with pytest.raises(KeyboardInterrupt):
             ThreadPool().parallel_for(work, 10)
     finally:
+        signal.signal(signal.SIGINT, handler)
         gc.enable()
     assert finished == [10]
 
