@@ -70,7 +70,8 @@ def block_lanczos(
                 rows, _ = orthonormal_rows(rows)
 
             full = depth is not None and used == depth * block
-            if full or (used >= 2 * k and (depth is not None or used // block % 2 == 0)):
+            often = depth is not None or used // block % 2 == 0  # the test is cheap beside products of wide blocks
+            if full or (used >= 2 * k and often):
                 values, combination = np.linalg.eigh(projected, UPLO="U")
                 values, combination = values[::-1][:k], combination[:, ::-1][:, :k]  # (k,), (used, k)
                 residual = np.linalg.norm(scale @ combination[-block:], axis=0)
@@ -82,7 +83,7 @@ def block_lanczos(
 
 
 def orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal rows and the triangle R with rows = R^T q: Cholesky, twice for skew rows, or QR near rank loss."""
+    """Orthonormal rows and the triangle R with rows = R^T q: Cholesky, twice if oblique, or QR near rank loss."""
     size = np.sqrt((rows * rows).sum(axis=1))
     gram = rows @ rows.T
     least = np.linalg.eigvalsh(gram / np.outer(size, size))[0] if size.min() > 0 else 0.0
@@ -91,7 +92,7 @@ def orthonormal_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return q.T, r
     triangle = np.linalg.cholesky(gram)  # (b, b), so its inverse is cheap and well conditioned here
     q = np.linalg.inv(triangle) @ rows
-    if least > 0.1:
+    if least > 0.1:  # then one factor leaves them orthonormal to rounding
         return q, triangle.T
     again = np.linalg.cholesky(q @ q.T)
     return np.linalg.inv(again) @ q, (triangle @ again).T

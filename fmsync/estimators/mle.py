@@ -1,6 +1,7 @@
 """Maximum likelihood on SO(n)^N: the paper's MLE (2)."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -47,12 +48,16 @@ def mle(
         checks.one_of("tolerance", tolerance, ("statistical",))
     goal = partial(_tenth_of_noise, problem) if isinstance(tolerance, str) else tolerance
     start = starting_point(problem, init, rng, group)  # before the model: each has a copy of the maps
-    found = minimise(Rotations(problem), start, tolerance=goal, max_iterations=max_iterations, callback=callback)
-    absolute, converged, trace = found
+    return descend(problem, start, "mle", tolerance=goal, max_iterations=max_iterations, callback=callback)
+
+
+def descend(problem: SyncProblem, start: np.ndarray, method: str, **options: Any) -> Estimate:
+    """The answer of a ``method`` that minimises from members of the group (N, n, n); options of :func:`minimise`."""
+    absolute, converged, trace = minimise(Rotations(problem), start, **options)
     exact = trace.cost[-1] > _DIGITS_LEFT * problem.constant  # else a small difference of large numbers
     cost = {"cost": float(trace.cost[-1])} if exact else {}
     # "O" for both groups: the steps have kept the determinants of the start
-    return Estimate.from_absolute(problem, absolute, "mle", "O", converged=converged, trace=trace, **cost)
+    return Estimate.from_absolute(problem, absolute, method, "O", converged=converged, trace=trace, **cost)
 
 
 def _tenth_of_noise(problem: SyncProblem, cost: float) -> float:

@@ -16,7 +16,7 @@ from fmsync.so import transpose
 def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: Callback, group: str = "SO") -> Estimate:
     """Absolute maps along a breadth-first tree from shape 1, the heaviest observation of each pair: no averaging.
 
-    ``group`` is ``"SO"`` or ``"O"``: what every map is projected to first.
+    ``group`` is ``"SO"`` or ``"O"``: what every map of the tree is projected to first.
     """
     estimate = Estimate.from_absolute(problem, along_tree(problem, group), "spanning-tree", group)
     callback(0, estimate.absolute, estimate.cost, float(np.linalg.norm(gradient(problem, estimate.absolute))))
@@ -24,7 +24,7 @@ def spanning_tree(problem: SyncProblem, *, rng: np.random.Generator, callback: C
 
 
 def along_tree(problem: SyncProblem, group: str) -> np.ndarray:
-    """What the estimator answers, (N, n, n) with C_1 = I."""
+    """Products of maps, nearest members of the group, along the tree: (N, n, n), outwards from C_1 = I."""
     n_nodes = problem.n_nodes
     pairs = np.sort(problem.edges, axis=1) @ [n_nodes, 1]  # (E,)
     by_weight = np.argsort(problem.weights, kind="stable")

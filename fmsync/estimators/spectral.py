@@ -59,9 +59,9 @@ def spectral_maps(problem: SyncProblem, rng: np.random.Generator, group: str, to
 
 
 def _rough_eigenvectors(problem: SyncProblem, rng: np.random.Generator, group: str, scale: np.ndarray) -> np.ndarray:
-    """Orthonormal rows (n, N n): the maps along a tree, which save half of the products that a random start takes.
+    """Orthonormal rows (n, N n): maps along a tree, which on large sparse graphs save up to half of the products.
 
-    A little of a random start makes sure that no eigenvector is missing, however symmetric the problem.
+    A little of a random start keeps every eigenvector within reach, however symmetric the problem.
     """
     size = len(scale)
     tree, _ = orthonormal_rows(along_tree(problem, group).transpose(1, 0, 2).reshape(-1, size) / scale)

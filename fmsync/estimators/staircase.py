@@ -10,6 +10,7 @@ from fmsync.energy import gradient_unchecked as gradient
 from fmsync.energy import neighbour_sums_unchecked as neighbour_sums
 from fmsync.estimators.base import Callback, Estimate, Recorder, estimator, nearest
 from fmsync.estimators.certificate import Certificate, certify, least_eigenvalue, shifted_certificate
+from fmsync.estimators.mle import descend
 from fmsync.estimators.spectral import common_orientation
 from fmsync.estimators.starts import starting_point
 from fmsync.estimators.trust_region import Point, Rotations, minimise
@@ -45,17 +46,13 @@ def staircase(
     ``trace`` has one entry for ``"mle"``, and one more if rounding improved on it.
     """
     recorder = Recorder(callback)
-
-    def descend(start: np.ndarray) -> Estimate:
-        model = Rotations(problem)
-        absolute, converged, trace = minimise(model, start, tolerance=tolerance, max_iterations=max_iterations)
-        return Estimate.from_absolute(problem, absolute, "staircase", group, converged=converged, trace=trace)
+    options = {"tolerance": tolerance, "max_iterations": max_iterations}
 
     def record(answer: Estimate) -> Certificate:
         recorder(answer.absolute, answer.cost, float(np.linalg.norm(gradient(problem, answer.absolute))))
         return certify(problem, answer)
 
-    best = descend(starting_point(problem, init, rng, group))
+    best = descend(problem, starting_point(problem, init, rng, group), "staircase", **options)
     certificate = record(best)
     lower, lift = best.cost - certificate.gap_bound, best.absolute
     for _ in range(_MOST_LIFTS * (not certificate.certified)):
@@ -72,7 +69,8 @@ def staircase(
     if lift is not best.absolute:
         leading, _, _ = np.linalg.svd(np.concatenate(list(lift), axis=1), full_matrices=False)
         blocks = leading[:, : problem.n].T @ lift  # in the n leading directions of the lifts
-        rounded = descend(nearest(common_orientation(blocks) if group == "SO" else blocks, group))
+        start = nearest(common_orientation(blocks) if group == "SO" else blocks, group)
+        rounded = descend(problem, start, "staircase", **options)
         if rounded.cost < best.cost:
             best, lower = rounded, max(lower, rounded.cost - record(rounded).gap_bound)
     return replace(best, trace=recorder.trace(), lower_bound=min(float(lower), best.cost))

@@ -30,12 +30,13 @@ def starting_point(
         if init == "spectral":
             return spectral_maps(problem, rng, group, _ROUGH)
         raise ValueError(f"init: 'spectral', 'random', rotations or an Estimate, not {init!r}")
-    known = init.absolute if isinstance(init, Estimate) else np.array(init, dtype=float)
-    if isinstance(init, Estimate) and known.shape[1:] == (n, n) and len(known) < n_nodes:
+    earlier = isinstance(init, Estimate)
+    known = np.array(init.absolute if isinstance(init, Estimate) else init, dtype=float)
+    if earlier and known.shape[1:] == (n, n) and len(known) < n_nodes:
         return _grown(problem, nearest(known, group), group)
     if known.shape != (n_nodes, n, n):
         raise ValueError(f"init: expected {(n_nodes, n, n)}, got {known.shape}")
-    if group == "SO" and not isinstance(init, Estimate):
+    if group == "SO" and not earlier:
         checks.rotations("init", known)
     return nearest(known, group)
 

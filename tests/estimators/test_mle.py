@@ -6,7 +6,7 @@ import pytest
 
 import bench.peers  # noqa: F401  registers the peers
 import fmsync
-from fmsync.energy import gradient
+from fmsync.energy import energy, gradient
 
 
 @pytest.mark.parametrize(
@@ -53,6 +53,13 @@ def test_derivatives_by_autograd_agree(planted):
     np.testing.assert_allclose(by_hand.absolute, by_autograd.absolute, atol=1e-6)
     with pytest.raises(ValueError, match="derivatives: 'hand' or 'autograd', not 'jax'"):
         fmsync.solve(problem, "mle-pymanopt", derivatives="jax")
+
+
+@pytest.mark.parametrize("sigma2", [0.0, 1e-7, 1e-3, 0.2])
+def test_the_cost_is_the_energy_of_the_answer_also_where_hardly_any_is_left(planted, sigma2):
+    problem, _ = planted(n_nodes=12, n=5, sigma2=sigma2)
+    estimate = fmsync.solve(problem, "mle")
+    np.testing.assert_allclose(estimate.cost, energy(problem, estimate.absolute), rtol=1e-10, atol=1e-20)
 
 
 def test_spectral_meets_the_line_where_the_noise_is_small(rms_ratio):

@@ -16,6 +16,13 @@ def first_nodes(problem, n_nodes):
     return fmsync.SyncProblem(n_nodes, problem.edges[old], problem.maps[old])
 
 
+@pytest.mark.parametrize("n_nodes", [2, 3])
+def test_a_start_may_be_an_estimate_of_integers(n_nodes):
+    problem = fmsync.SyncProblem(3, [[0, 1], [1, 2], [0, 2]], np.stack([np.eye(4)] * 3))
+    known = fmsync.Estimate(first_nodes(problem, n_nodes), "by hand", np.stack([np.eye(4, dtype=int)] * n_nodes), 0.0)
+    assert fmsync.solve(problem, init=known).cost < 1e-20
+
+
 @pytest.mark.parametrize("method", ["mle", "mle-geodesic"])
 def test_a_start_from_fewer_nodes_reaches_the_same_optimum_in_fewer_steps(planted, method):
     problem, _ = planted(n_nodes=14, n=6, sigma2=0.05)
